@@ -1,0 +1,238 @@
+"""Settings: one frozen dataclass per step, read from TOML.
+
+Defaults live here and nowhere else. An unknown key is a `ConfigError`. The whole
+configuration is stored with every result.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from engine.errors import ConfigError
+
+__all__ = [
+    "CameraConfig",
+    "Config",
+    "CorrectionConfig",
+    "EventsConfig",
+    "OutputConfig",
+    "PoseConfig",
+    "RiskConfig",
+    "SubjectConfig",
+    "VideoConfig",
+    "read_config",
+]
+
+
+@dataclass(frozen=True)
+class VideoConfig:
+    """Which part of the video is read.
+
+    `start_s` and `stop_s` select a part; None means to the end.
+    """
+
+    start_s: float = 0.0
+    stop_s: float | None = None
+
+
+@dataclass(frozen=True)
+class SubjectConfig:
+    """Who is followed and how: Choi et al. (2024), Eqs 1-5, with guards.
+
+    `box` is left, top, right, bottom in px in the first frame, when a user names the person.
+    `score` is how confidence and overlap are joined: `sum` (argmax of c + IoU, the prose of the
+    paper) or `literal` (its Eq 5 as printed, which ignores the overlap).
+    """
+
+    first_threshold: float = 0.7
+    threshold_step: float = 0.1
+    threshold_floor: float = 0.2
+    track_threshold: float = 0.3
+    iou_weight: float = 1.0
+    score: Literal["sum", "literal"] = "sum"
+    hold_frames: int = 15
+    detect_every: int = 15
+    box_margin: float = 1.25
+    box: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class PoseConfig:
+    """Which estimator, and its options.
+
+    `variant` is `heavy` (default, for measurement) or `full` (faster, less exact);
+    `threads` the number of inference threads, 0 = one per core.
+    """
+
+    backend: str = "mediapipe"
+    variant: Literal["heavy", "full"] = "heavy"
+    threads: int = 0
+    min_person_confidence: float = 0.5
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """What is assumed of an uncalibrated camera.
+
+    `horizontal_fov_deg` along the longer side of the picture; its standard error and that of the
+    camera's pitch and roll reach the result.
+    """
+
+    horizontal_fov_deg: float = 58.0
+    fov_sigma_deg: float = 9.0
+    pitch_sigma_deg: float = 8.0
+    roll_sigma_deg: float = 2.0
+
+
+@dataclass(frozen=True)
+class CorrectionConfig:
+    """How keypoints are cleaned.
+
+    `preset` is `default`, `paper` or `none`; gaps longer than `max_gap_s` stay missing;
+    `cutoff_hz` is that of the zero-lag filter after both passes.
+    """
+
+    preset: Literal["default", "paper", "none"] = "default"
+    min_confidence: float = 0.3
+    max_gap_s: float = 0.5
+    cutoff_hz: float = 6.0
+
+
+@dataclass(frozen=True)
+class EventsConfig:
+    """What counts as a lift."""
+
+    min_rise_m: float = 0.10
+    min_duration_s: float = 0.3
+    max_duration_s: float = 5.0
+    speed_floor_m_s: float = 0.05
+    speed_share: float = 0.05
+    max_hand_separation_m: float = 0.60
+
+
+@dataclass(frozen=True)
+class KinematicsConfig:
+    """Which solver turns keypoints into joint angles."""
+
+    solver: str = "geometric"
+
+
+@dataclass(frozen=True)
+class RiskConfig:
+    """Which risk methods run; empty means all that need no switch."""
+
+    methods: tuple[str, ...] = ()
+    experimental: bool = False
+
+
+@dataclass(frozen=True)
+class OutputConfig:
+    """What is written beside `trial.json`."""
+
+    overlay: bool = True
+    blur_heads: bool = True
+
+
+@dataclass(frozen=True)
+class Config:
+    """All settings of one assessment."""
+
+    video: VideoConfig = field(default_factory=VideoConfig)
+    subject: SubjectConfig = field(default_factory=SubjectConfig)
+    pose: PoseConfig = field(default_factory=PoseConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    correction: CorrectionConfig = field(default_factory=CorrectionConfig)
+    kinematics: KinematicsConfig = field(default_factory=KinematicsConfig)
+    events: EventsConfig = field(default_factory=EventsConfig)
+    risk: RiskConfig = field(default_factory=RiskConfig)
+    output: OutputConfig = field(default_factory=OutputConfig)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain nested values, as written to `trial.json`."""
+        return dataclasses.asdict(self)
+
+
+def read_config(path: Path) -> dict[str, dict[str, Any]]:
+    """Read a TOML file into nested tables.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or is not TOML.
+    """
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise ConfigError(
+            f"The configuration file {path} can't be read ({error.strerror}); check its path."
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}.") from error
+
+
+def build_config(tables: dict[str, Any]) -> Config:
+    """Build a `Config` from nested tables, checking every key and type.
+
+    Raises
+    ------
+    ConfigError
+        If a table or key is unknown, or a value has the wrong type.
+    """
+    sections = {f.name: f for f in dataclasses.fields(Config)}
+    built = {}
+    for name, table in tables.items():
+        if name not in sections:
+            raise ConfigError(
+                f"Unknown table [{name}] in the configuration; known: {', '.join(sections)}."
+            )
+        if not isinstance(table, dict):
+            raise ConfigError(f"[{name}] must be a table of settings, got {table!r}.")
+        section_type = typing.get_type_hints(Config)[name]
+        built[name] = _build_section(name, section_type, table)
+    return Config(**built)
+
+
+def _build_section(name: str, section: type[Any], table: dict[str, Any]) -> Any:
+    hints = typing.get_type_hints(section)
+    for key, value in table.items():
+        if key not in hints:
+            raise ConfigError(f"Unknown key {key!r} in [{name}]; known: {', '.join(hints)}.")
+        table = {**table, key: _check_value(f"{name}.{key}", hints[key], value)}
+    return section(**table)
+
+
+def _check_value(key: str, hint: Any, value: Any) -> Any:
+    """Return `value` in the type `hint` asks for."""
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        if value not in args:
+            raise ConfigError(f"{key} must be one of {', '.join(map(str, args))}; got {value!r}.")
+        return value
+    if origin in (typing.Union, types.UnionType):
+        if value is None:
+            return None
+        return _check_value(key, next(a for a in args if a is not type(None)), value)
+    if origin is tuple:
+        return _check_tuple(key, args, value)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+        raise ConfigError(f"{key} must be {hint.__name__}, got {value!r}.")
+    return value
+
+
+def _check_tuple(key: str, args: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise ConfigError(f"{key} must be a list, got {value!r}.")
+    if len(args) == 2 and args[1] is Ellipsis:
+        return tuple(_check_value(key, args[0], item) for item in value)
+    if len(value) != len(args):
+        raise ConfigError(f"{key} needs {len(args)} values, got {len(value)}.")
+    return tuple(_check_value(key, a, item) for a, item in zip(args, value, strict=True))

@@ -1,0 +1,1 @@
+"""Risk methods and flags."""

@@ -1,0 +1,1 @@
+"""Running assessments in worker processes."""

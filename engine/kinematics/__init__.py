@@ -1,0 +1,1 @@
+"""Joint angles, events and lifts."""

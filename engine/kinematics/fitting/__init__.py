@@ -1,0 +1,1 @@
+"""One file per solver that turns keypoints into joint angles."""
