@@ -477,7 +477,9 @@ class ViewPose(_FrozenArrays):
     `image` is the track in px; `body` the same keypoints in metres around the mid-hip,
     in the camera's axes (x right, y down, z away), where the estimator gives it.
     `box` is (T, 4) left, top, right, bottom in px, NaN while lost; `state` one
-    `SubjectState` per frame.
+    `SubjectState` per frame. `others` are the boxes of other persons, per frame (needed
+    to blur their heads; empty where nobody looked). `model_time_s` is the time spent inside
+    the neural networks.
     """
 
     image: PoseTrack
@@ -485,6 +487,7 @@ class ViewPose(_FrozenArrays):
     box: Array
     state: tuple[SubjectState, ...]
     info: ViewInfo
+    others: tuple[tuple[PersonBox, ...], ...] = ()
     model_time_s: float = 0.0
 
     def __post_init__(self) -> None:
