@@ -427,9 +427,10 @@ class PoseTrack(_FrozenArrays):
     unit: PositionUnit
     frame_of_reference: FrameOfReference
     skeleton: str
-    confidence: Array | None = None
-    sigma: Array | None = None
-    status: NDArray[np.uint8] | None = None
+    # None means "not given"; __post_init__ replaces it, so readers always find an array.
+    confidence: Array = None  # type: ignore[assignment]
+    sigma: Array = None  # type: ignore[assignment]
+    status: NDArray[np.uint8] = None  # type: ignore[assignment]
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -525,8 +526,9 @@ class JointAngles(_FrozenArrays):
     time_s: Array
     value_deg: Array
     names: tuple[str, ...]
-    sigma_deg: Array | None = None
-    status: NDArray[np.uint8] | None = None
+    # As in PoseTrack: never None once built.
+    sigma_deg: Array = None  # type: ignore[assignment]
+    status: NDArray[np.uint8] = None  # type: ignore[assignment]
     convention: str = "liftlens-1"
 
     def __post_init__(self) -> None:
@@ -546,7 +548,6 @@ class JointAngles(_FrozenArrays):
 
     def sigma(self, name: str) -> Array:
         """Return the standard error of one angle, shape (T,), degrees."""
-        assert self.sigma_deg is not None  # set in __post_init__
         return self.sigma_deg[:, self._column(name)]
 
     def _column(self, name: str) -> int:
