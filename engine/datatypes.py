@@ -321,6 +321,7 @@ class ViewInfo:
 
     `size_px` is (width, height) as shown, after rotation. `fps` is the mean rate of
     the true time stamps; `n_frames` is exact once the file was read to its end.
+    `n_missing_frames` were announced but are not in the file: it was cut off.
     """
 
     file_name: str
@@ -332,6 +333,7 @@ class ViewInfo:
     codec: str = ""
     rotation_deg: int = 0
     is_variable_rate: bool = False
+    n_missing_frames: int = 0
 
 
 @dataclass(frozen=True, eq=False)
