@@ -1,0 +1,82 @@
+"""What a job is asked to do, and how that is kept on disk."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from engine.config import Config, build_config
+from engine.datatypes import Subject, Task, Trial, View
+from engine.errors import ConfigError
+
+__all__ = ["JobRequest"]
+
+
+@dataclass(frozen=True, eq=False)
+class JobRequest:
+    """One assessment to run.
+
+    `config` holds nested tables as in a configuration file; what is left out keeps its default.
+    """
+
+    videos: tuple[Path, ...]
+    subject: Subject = field(default_factory=Subject)
+    task: Task = field(default_factory=Task)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    label: str = ""
+    site: str = ""
+    job: str = ""
+
+    @property
+    def trial(self) -> Trial:
+        """The trial to assess."""
+        return Trial(
+            views=tuple(View(path) for path in self.videos),
+            subject=self.subject,
+            task=self.task,
+            label=self.label,
+            site=self.site,
+            job=self.job,
+        )
+
+    @property
+    def settings(self) -> Config:
+        """The complete configuration."""
+        return build_config(dict(self.config))
+
+    def as_json(self) -> str:
+        """Return the request as text."""
+        plain = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        plain["videos"] = [str(Path(v).resolve()) for v in self.videos]
+        plain["subject"] = dataclasses.asdict(self.subject)
+        plain["task"] = dataclasses.asdict(self.task)
+        plain["config"] = dict(self.config)
+        return json.dumps(plain, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> JobRequest:
+        """Rebuild a request.
+
+        Raises
+        ------
+        ConfigError
+            If the text is no request, or holds values that can't be right.
+        """
+        try:
+            plain = json.loads(text)
+            return cls(
+                videos=tuple(Path(v) for v in plain.pop("videos")),
+                subject=Subject(**plain.pop("subject")),
+                task=Task(**plain.pop("task")),
+                **plain,
+            )
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(
+                f"The job's request can't be read ({error}); start the assessment again."
+            ) from error
