@@ -18,14 +18,12 @@ import contextlib
 import json
 import logging
 import os
-import secrets
 import shutil
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -33,6 +31,8 @@ from typing import Any
 from engine.errors import ConfigError, EngineError
 from engine.jobs.locks import hold, is_held
 from engine.jobs.request import JobRequest
+from engine.storage.atomic import explain_os_errors, hidden_sibling
+from engine.storage.library import Library
 
 __all__ = ["JobQueue", "JobRequest", "JobState", "JobStatus", "default_workers"]
 
@@ -106,11 +106,9 @@ class JobQueue:
 
     Parameters
     ----------
-    root
-        The folder of the jobs.
-    uploads
-        The folder of uploaded videos: a job takes such videos over and deletes them when
-        it has succeeded. Other videos are only read.
+    library
+        Where jobs, uploads and results live. A job takes over the videos among the uploads and
+        deletes them when it has succeeded; other videos are only read.
     max_workers
         How many jobs run at once; None for `default_workers`.
     command
@@ -119,20 +117,20 @@ class JobQueue:
 
     def __init__(
         self,
-        root: Path,
+        library: Library,
         *,
-        uploads: Path | None = None,
         max_workers: int | None = None,
         command: tuple[str, ...] = WORKER_COMMAND,
     ) -> None:
-        self.root = root.resolve()
-        self.uploads = uploads and uploads.resolve()
+        self.library = library
+        self.root = library.jobs
         self.max_workers = max_workers or default_workers()
         self.command = command
-        self.root.mkdir(parents=True, exist_ok=True)
 
     def submit(self, request: JobRequest) -> str:
         """Add a job to the queue and start it if a worker is free; return its id.
+
+        The trial it makes will have the same id.
 
         Raises
         ------
@@ -142,22 +140,21 @@ class JobQueue:
         for video in request.videos:
             if not video.is_file():
                 raise ConfigError(f"The video {video.name} is not there any more; add it again.")
-        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")
-        job_id = f"{stamp}-{secrets.token_hex(2)}"
-        # Built under a hidden name: a job is either there as a whole or not at all.
-        aside = self.root / f".{job_id}"
-        aside.mkdir()
-        request = replace(
-            request,
-            videos=tuple(
-                self._adopt(video, aside, Path("videos", str(number)))
-                for number, video in enumerate(request.videos)
-            ),
-        )
-        (aside / "request.json").write_text(request.as_json(), encoding="utf-8")
-        aside.rename(self.root / job_id)
+        folder = self.root / self.library.new_id()
+        aside = hidden_sibling(folder)
+        with explain_os_errors(folder, "The job"):
+            aside.mkdir()
+            request = replace(
+                request,
+                videos=tuple(
+                    self._adopt(video, aside, Path("videos", str(number), video.name), folder)
+                    for number, video in enumerate(request.videos)
+                ),
+            )
+            (aside / "request.json").write_text(request.as_json(), encoding="utf-8")
+            aside.rename(folder)
         self.advance()
-        return job_id
+        return folder.name
 
     def read(self, job_id: str) -> JobStatus:
         """Return where a job stands.
@@ -225,19 +222,18 @@ class JobQueue:
         visible = (p for p in self.root.iterdir() if not p.name.startswith("."))
         return tuple(sorted(p for p in visible if (p / "request.json").exists()))
 
-    def _adopt(self, video: Path, aside: Path, place: Path) -> Path:
+    def _adopt(self, video: Path, aside: Path, place: Path, folder: Path) -> Path:
         """Return where the job finds the video: uploads at `place` in its own folder."""
-        if self.uploads is None or self.uploads not in video.resolve().parents:
+        if self.library.uploads not in video.resolve().parents:
             return video
-        (aside / place).mkdir(parents=True)
-        shutil.move(video, aside / place / video.name)
-        return self.root / aside.name.removeprefix(".") / place / video.name
+        (aside / place).parent.mkdir(parents=True)
+        shutil.move(video, aside / place)
+        return folder / place
 
     def _return(self, video: Path, folder: Path) -> Path:
-        if self.uploads is None or folder not in video.parents or not video.exists():
+        if folder not in video.parents or not video.exists():
             return video
-        target = self.uploads / folder.name / video.name
-        target.parent.mkdir(parents=True, exist_ok=True)
+        target = self.library.upload_folder(self.library.new_id()) / video.name
         return Path(shutil.move(video, target))
 
     def _read(self, folder: Path) -> JobStatus:
@@ -362,7 +358,7 @@ def _obituary(folder: Path) -> str:
 
 def _remove(folder: Path) -> None:
     # Renamed first, so that nobody sees a job that is half there.
-    hidden = folder.with_name(f".{folder.name}")
+    hidden = hidden_sibling(folder)
     folder.rename(hidden)
     shutil.rmtree(hidden, ignore_errors=True)
     _reap(folder)

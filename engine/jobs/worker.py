@@ -26,6 +26,7 @@ from engine.jobs.local import (
 )
 from engine.jobs.locks import hold
 from engine.jobs.request import JobRequest
+from engine.storage.library import Library
 
 __all__ = ["Assess", "main"]
 
@@ -92,7 +93,7 @@ def main(
         write_state(folder, status)
         signal.signal(signal.SIGTERM, _stop)
         exit_code = _run(folder, reporter, assess or _assess)
-    JobQueue(folder.parent, command=command).advance()
+    JobQueue(Library(folder.parent.parent), command=command).advance()
     return exit_code
 
 
@@ -135,11 +136,8 @@ def _run(folder: Path, reporter: _Reporter, assess: Assess) -> int:
 
 
 def _publish(result: Path, folder: Path) -> str:
-    """Move the whole result into the library by one rename; return the trial's id."""
-    trials = folder.parent.parent / "trials"
-    trials.mkdir(exist_ok=True)
-    result.rename(trials / folder.name)
-    return folder.name
+    """Move the result into the library as a whole; the trial gets the id of the job."""
+    return Library(folder.parent.parent).adopt(result, folder.name)
 
 
 def _drop_uploads(folder: Path, request: JobRequest) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from engine.errors import NoPersonFound
 from engine.jobs.worker import main
+from engine.storage.results import write_result
+from tests.builders import make_trial_result
 
 
 def assess(trial, config, folder: Path, progress) -> Path:
@@ -13,9 +15,6 @@ def assess(trial, config, folder: Path, progress) -> Path:
     order = folder.parents[2] / "order.txt"
     with order.open("a") as file:
         file.write(f"{trial.label}\n")
-    partial = folder.with_name(".result.partial")
-    partial.mkdir()
-    (partial / "trial.json").write_text("{")
     if "hang" in words:  # never looks whether it should stop
         progress("pose", 1, 2)
         time.sleep(60)
@@ -26,8 +25,7 @@ def assess(trial, config, folder: Path, progress) -> Path:
     for done in range(600 if "slow" in words else 2):
         progress("pose", done, 600)
         time.sleep(0.02)
-    (partial / "trial.json").write_text("{}")
-    return partial.rename(folder)
+    return write_result(make_trial_result(trial=trial), folder)
 
 
 if __name__ == "__main__":

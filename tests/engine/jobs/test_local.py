@@ -10,6 +10,8 @@ import engine.jobs.local as local
 from engine.datatypes import Coupling, Subject, Task
 from engine.errors import ConfigError
 from engine.jobs.local import JobQueue, JobRequest, JobState
+from engine.storage.library import Library
+from engine.storage.results import read_result
 
 COMMAND = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
 
@@ -21,12 +23,7 @@ def _import_path(monkeypatch):
 
 @pytest.fixture
 def queue(tmp_path):
-    made = JobQueue(
-        tmp_path / "home" / "jobs",
-        uploads=tmp_path / "home" / "uploads",
-        max_workers=1,
-        command=COMMAND,
-    )
+    made = JobQueue(Library(tmp_path / "home"), max_workers=1, command=COMMAND)
     yield made
     for job in made.jobs():
         made.cancel(job.id)
@@ -59,8 +56,7 @@ def ask(tmp_path, words="", label="lift"):
 
 
 def trials(queue):
-    folder = queue.root.parent / "trials"
-    return sorted(p.name for p in folder.iterdir()) if folder.exists() else []
+    return sorted(p.name for p in queue.library.trials.iterdir())
 
 
 def test_a_request_survives_the_disk(tmp_path):
@@ -98,14 +94,16 @@ def test_a_job_ends_as_a_trial_of_the_library(queue, tmp_path):
     status = wait_for(queue, job_id, JobState.DONE)
     assert status.exit_code == 0
     assert status.fraction == 1.0
-    assert trials(queue) == [status.trial_id]
+    assert status.trial_id == job_id
+    assert read_result(queue.library.folder(job_id)).document["label"] == "lift"
+    assert [entry.label for entry in queue.library.entries()] == ["lift"]
     assert 0 < status.elapsed_s < 20
 
 
 def test_another_process_or_tab_sees_the_same(queue, tmp_path):
     job_id = queue.submit(ask(tmp_path, "slow"))
     seen = wait_for_stage(queue, job_id, "pose")
-    other = JobQueue(queue.root, command=COMMAND)
+    other = JobQueue(Library(queue.library.root), command=COMMAND)
     assert other.read(job_id).state is JobState.RUNNING
     assert other.read(job_id).pid == seen.pid
     assert other.request(job_id).label == "lift"
@@ -161,7 +159,7 @@ def test_a_killed_worker_is_noticed_and_the_next_job_runs(queue, tmp_path):
 
 def test_a_worker_that_cannot_start_is_noticed(tmp_path):
     for command in ((sys.executable, "-c", "import no_such_module"), (str(tmp_path / "nothing"),)):
-        queue = JobQueue(tmp_path / "jobs", max_workers=1, command=command)
+        queue = JobQueue(Library(tmp_path / "home"), max_workers=1, command=command)
         job_id = queue.submit(ask(tmp_path))
         assert wait_for(queue, job_id, JobState.FAILED).message
 
@@ -205,7 +203,7 @@ def test_cancelling_what_has_ended_changes_nothing(queue, tmp_path):
 
 
 def upload(queue, words):
-    video = queue.uploads / "5f" / "clip.mp4"
+    video = queue.library.uploads / "5f" / "clip.mp4"
     video.parent.mkdir(parents=True)
     video.write_text(words)
     return video
@@ -226,7 +224,7 @@ def test_a_failed_job_gives_its_upload_back(queue):
     request = queue.withdraw(job_id)
     assert request.label == "u"
     assert request.videos[0].read_text() == "fail"
-    assert queue.uploads in request.videos[0].parents
+    assert queue.library.uploads in request.videos[0].parents
     assert queue.jobs() == ()
 
 
