@@ -7,11 +7,9 @@ A result folder holds `trial.json` (`trial.schema.json` describes it), `tracks.n
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import logging
 import shutil
-import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,7 +28,8 @@ from engine.datatypes import (
     ViewPose,
     WorldScene,
 )
-from engine.errors import ConfigError, DataError, OutputError
+from engine.errors import ConfigError, DataError
+from engine.storage.atomic import PARTIAL_SUFFIX, explain_os_errors, hidden_sibling
 from engine.storage.document import (
     SCHEMA_VERSION,
     build_document,
@@ -63,8 +62,6 @@ TRACKS_NAME = "tracks.npz"
 OVERLAY_NAME = "overlay.mp4"
 THUMBNAIL_NAMES = ("thumbnail.jpg", "thumbnail.jpeg", "thumbnail.png")
 SUMMARY_NAME = "summary.json"
-PARTIAL_SUFFIX = ".partial"
-"""Names of folders being written or removed end so, and start with a dot."""
 
 RESULT_FILES = (
     DOCUMENT_NAME,
@@ -165,7 +162,7 @@ def write_result(
         If it can't be written (no permission, no space); nothing is left behind.
     """
     folder = check_target(folder)
-    with _explain_os_errors(folder), _aside(folder) as partial:
+    with explain_os_errors(folder), _aside(folder) as partial:
         write_tracks(
             partial / TRACKS_NAME,
             raw=result.raw,
@@ -201,14 +198,14 @@ def check_target(folder: Path) -> Path:
         If it can't be looked into.
     """
     folder = Path(folder).expanduser().resolve()
-    with _explain_os_errors(folder):
+    with explain_os_errors(folder):
         if not folder.exists():
             return folder
         if not folder.is_dir():
             raise ConfigError(
                 f"The result needs a folder, but {folder} is a file; choose another name."
             )
-        names = {entry.name for entry in folder.iterdir()}
+        names = {p.name for p in folder.iterdir() if not p.name.endswith(PARTIAL_SUFFIX)}
     strangers = sorted(names - set(RESULT_FILES))
     if strangers or (names and not is_result_folder(folder)):
         what = f"other files ({', '.join(strangers[:3])})" if strangers else "no LiftLens result"
@@ -305,7 +302,7 @@ def _first_file(folder: Path, names: tuple[str, ...]) -> Path | None:
 def _aside(folder: Path) -> Iterator[Path]:
     """Give a hidden sibling to write into; on any failure it and new parents vanish."""
     new_parents = [parent for parent in folder.parents if not parent.exists()]
-    partial = _sibling(folder)
+    partial = hidden_sibling(folder)
     try:
         partial.mkdir(parents=True)
         yield partial
@@ -317,16 +314,12 @@ def _aside(folder: Path) -> Iterator[Path]:
         raise
 
 
-def _sibling(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name[:80]}.{uuid.uuid4().hex[:12]}{PARTIAL_SUFFIX}")
-
-
 def _replace(folder: Path, partial: Path) -> None:
     """Put `partial` in the place of `folder`; what was there stays if that fails."""
     if not folder.exists():
         partial.rename(folder)
         return
-    earlier = _sibling(folder)
+    earlier = hidden_sibling(folder)
     folder.rename(earlier)
     try:
         partial.rename(folder)
@@ -336,25 +329,3 @@ def _replace(folder: Path, partial: Path) -> None:
     shutil.rmtree(earlier, ignore_errors=True)
     if earlier.exists():
         logger.warning("The earlier result could not be removed; it is left as %s.", earlier)
-
-
-@contextlib.contextmanager
-def _explain_os_errors(folder: Path) -> Iterator[None]:
-    """Turn what the operating system says into one sentence for a user."""
-    try:
-        yield
-    except OSError as error:
-        reasons = {
-            errno.ENOSPC: ("the disk is full", "free some space"),
-            errno.EFBIG: ("its files would be larger than allowed", "raise the limit"),
-            errno.EDQUOT: ("the disk quota is used up", "free some space"),
-            errno.EACCES: ("you may not write there", "choose a folder of your own"),
-            errno.EPERM: ("you may not write there", "choose a folder of your own"),
-            errno.EROFS: ("the disk is read-only", "choose another disk"),
-            errno.ENOTDIR: ("a part of its path is a file", "choose another folder"),
-            errno.ENAMETOOLONG: ("its name is too long", "choose a shorter name"),
-        }
-        why, todo = reasons.get(
-            error.errno or 0, (error.strerror or str(error), "choose another folder")
-        )
-        raise OutputError(f"The result can't be written to {folder}: {why}; {todo}.") from error

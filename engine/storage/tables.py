@@ -27,11 +27,12 @@ TRC_FIELDS = (
 )
 
 
-def write_keypoints_trc(track: PoseTrack, path: Path) -> None:
+def write_keypoints_trc(track: PoseTrack, path: Path, *, title: str = "") -> None:
     """Write a world track as TRC: millimetres, Y up, one marker per keypoint.
 
     A missing sample is written as `nan`, which OpenSim and most readers take as missing.
-    The rate in the header is the mean rate; the `Time` column has the true times.
+    The rate in the header is the mean rate; the `Time` column has the true times. `title` is the
+    file name in the header, by default that of `path`.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def write_keypoints_trc(track: PoseTrack, path: Path) -> None:
     position_mm = track.position.reshape(n_frames, -1) * MM_PER_M
     numbered = np.column_stack([np.arange(1, n_frames + 1), track.time_s, position_mm])
     path.write_text(
-        _trc_header(path.name, names, track.time_s)
+        _trc_header(title or path.name, names, track.time_s)
         + _rows(numbered, formats=["%d", "%.6f", *["%.4f"] * position_mm.shape[1]]),
         encoding="utf-8",
     )
@@ -83,7 +84,11 @@ def _mean_rate_hz(time_s: Array) -> float:
 
 
 def write_angles_mot(angles: JointAngles, path: Path) -> None:
-    """Write joint angles as an OpenSim motion file, in degrees, under LiftLens's names."""
+    """Write joint angles as an OpenSim motion file, in degrees, under LiftLens's names.
+
+    A missing value is `nan`. OpenSim's `TimeSeriesTable` reads that as missing; its older `Storage`
+    stops at the first one, so look at the number of rows it found.
+    """
     columns = ("time", *angles.names)
     header = (
         "Coordinates",
