@@ -55,7 +55,8 @@ def standard_normal_points(n_inputs: int, n_draws: int = N_DRAWS) -> Array:
 def draw_inputs(inputs: Mapping[str, Measurement]) -> dict[str, Array]:
     """Draw every input from a normal distribution around its value, independently.
 
-    The inputs are magnitudes: draws below zero are reflected to the positive side.
+    The inputs are magnitudes, their values not negative: draws below zero are reflected to the
+    positive side.
     """
     points = standard_normal_points(max(1, len(inputs)))
     return {

@@ -221,7 +221,9 @@ def _is_measured(end: LiftEnd) -> bool:
 def _point(end: LiftEnd) -> LiftPoint:
     # A floor error can put the hands a little below the floor: that is the floor.
     return LiftPoint(
-        H_cm=max(0.0, end.H_cm.value), V_cm=max(0.0, end.V_cm.value), A_deg=abs(end.A_deg.value)
+        H_cm=max(0.0, end.H_cm.value),
+        V_cm=max(0.0, end.V_cm.value),
+        A_deg=max(0.0, end.A_deg.value),
     )
 
 
@@ -250,7 +252,8 @@ def _build_case(lift: Lift, work: _Work) -> LiftCase:
 def _evaluate(lift: Lift, work: _Work) -> _Evaluation:
     case = _build_case(lift, work)
     results = compute_case(case)
-    inputs = _measurements(lift, tuple(results))
+    measured = _measurements(lift, tuple(results))
+    inputs = {name: replace(item, value=max(0.0, item.value)) for name, item in measured.items()}
     governing = min(results, key=lambda end: results[end].RWL)
     if not all(math.isfinite(item.sigma) for item in inputs.values()):
         unknown = dict.fromkeys(inputs, math.nan)
