@@ -54,6 +54,7 @@ __all__ = [
     "decode_view",
     "encode_number",
     "encode_plain",
+    "find_version",
     "to_json",
 ]
 
@@ -146,7 +147,7 @@ def build_document(result: TrialResult) -> dict[str, Any]:
     trial = result.trial
     return {
         "schema_version": SCHEMA_VERSION,
-        "liftlens_version": result.versions.get("liftlens") or _installed_version(),
+        "liftlens_version": result.versions.get("liftlens") or find_version(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "label": trial.label,
         "site": trial.site,
@@ -168,7 +169,8 @@ def build_document(result: TrialResult) -> dict[str, Any]:
     }
 
 
-def _installed_version() -> str:
+def find_version() -> str:
+    """Return the version of the installed package; `unknown` in a bare checkout."""
     try:
         return metadata.version("liftlens")
     except metadata.PackageNotFoundError:

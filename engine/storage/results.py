@@ -7,8 +7,10 @@ A result folder holds `trial.json` (`trial.schema.json` describes it), `tracks.n
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import logging
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -195,10 +197,11 @@ def check_target(folder: Path) -> Path:
     ConfigError
         If it is a file, or holds anything but an earlier result.
     OutputError
-        If it can't be looked into.
+        If it can't be looked into, or nothing may be written there.
     """
     folder = Path(folder).expanduser().resolve()
     with explain_os_errors(folder):
+        _check_parent(folder)
         if not folder.exists():
             return folder
         if not folder.is_dir():
@@ -214,6 +217,15 @@ def check_target(folder: Path) -> Path:
             f"holds {what}; choose another folder."
         )
     return folder
+
+
+def _check_parent(folder: Path) -> None:
+    """Find out early, as far as one can without writing, whether folders can be made there."""
+    nearest = next(parent for parent in folder.parents if parent.exists())
+    if not nearest.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "not a folder")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "no permission")
 
 
 def is_result_folder(folder: Path) -> bool:

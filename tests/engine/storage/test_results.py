@@ -512,6 +512,13 @@ class TestWriting:
         assert done.returncode == 0
         assert list(tmp_path.iterdir()) == []
 
+    def test_check_target_refuses_a_place_without_permission(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(results_module.os, "access", lambda *_: False)
+        with pytest.raises(OutputError, match="you may not write there"):
+            check_target(tmp_path / "result")
+
     def test_check_target_says_yes_without_making_anything(self, tmp_path: Path) -> None:
         assert check_target(tmp_path / "x" / "y") == tmp_path.resolve() / "x" / "y"
         assert list(tmp_path.iterdir()) == []

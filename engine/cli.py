@@ -1,0 +1,389 @@
+"""The `liftlens` command.
+
+Exit codes: 0 done, 1 a fault of LiftLens, 2 wrong use, 3 unusable input, 4 a needed part is
+missing, 130 cancelled. On failure the last line on stderr says what was expected, what came and
+what to do.
+
+Everything heavy is imported inside the commands, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ParamSpec
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from engine.cli_settings import AssessSettings
+    from engine.storage.library import Library
+
+__all__ = ["app", "main"]
+
+CANCELLED_EXIT_CODE = 130
+UNEXPECTED_EXIT_CODE = 1
+REPORT_HINT = "run the same command with --debug and report what it prints."
+
+app = typer.Typer(
+    name="liftlens",
+    help="Video of a person lifting becomes posture, joint angles and a lifting-risk assessment.",
+    no_args_is_help=True,
+    add_completion=False,
+    # Plain text: an error's last line stays its sentence, not the border of a box.
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+P = ParamSpec("P")
+Debug = Annotated[
+    bool, typer.Option("--debug", envvar="LIFTLENS_DEBUG", help="Show tracebacks and log messages.")
+]
+Quiet = Annotated[bool | None, typer.Option("--quiet", help="No progress on stderr.")]
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _one_sentence(command: Callable[P, None]) -> Callable[P, None]:
+    """Turn every failure of a command into its exit code and one sentence on stderr."""
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        is_debug = bool(kwargs.get("debug"))
+        _set_up_logging(is_debug=is_debug)
+        try:
+            command(*args, **kwargs)
+        except (typer.Exit, typer.Abort):
+            raise
+        except KeyboardInterrupt:
+            _fail("Stopped; nothing was kept.", CANCELLED_EXIT_CODE)
+        except BrokenPipeError:
+            # The reader (`| head`) has what it wanted; the interpreter must not flush again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        except Exception as error:
+            if is_debug:
+                logging.getLogger("engine").exception("The command failed")
+            _fail(*_explain(error))
+
+    return run
+
+
+def _explain(error: Exception) -> tuple[str, int]:
+    """Return the sentence and the exit code for an error."""
+    from engine.errors import EngineError
+
+    if isinstance(error, EngineError):
+        return str(error), error.exit_code
+    if isinstance(error, MemoryError):
+        return "LiftLens ran out of memory; close other programs or use a shorter part.", 3
+    what = f"{type(error).__name__}: {error}"
+    return f"LiftLens made a mistake ({what}); {REPORT_HINT}", UNEXPECTED_EXIT_CODE
+
+
+def _fail(sentence: str, exit_code: int) -> None:
+    typer.echo("Error: " + " ".join(sentence.split()), err=True)
+    raise typer.Exit(exit_code)
+
+
+def _set_up_logging(*, is_debug: bool) -> None:
+    logger = logging.getLogger("engine")
+    if is_debug:
+        logging.basicConfig(level=logging.INFO, stream=sys.stderr, force=True)
+    elif not logger.handlers:
+        logger.addHandler(logging.NullHandler())
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        from engine.storage.document import find_version
+
+        typer.echo(f"liftlens {find_version()}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(2)
+
+
+@app.command(no_args_is_help=False)
+@_one_sentence
+def assess(
+    video: Annotated[Path, typer.Argument(help="The video.")],
+    video2: Annotated[Path | None, typer.Argument(help="Not available yet.")] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calibration of two cameras: not available yet.")
+    ] = None,
+    backend: Annotated[str | None, typer.Option(help="Estimator; see `liftlens backends`.")] = None,
+    solver: Annotated[
+        str | None, typer.Option(help="What turns keypoints into joint angles.")
+    ] = None,
+    stature: Annotated[
+        float | None, typer.Option(help="The person's stature in metres, for example 1.75.")
+    ] = None,
+    mass: Annotated[float | None, typer.Option(help="The person's body mass in kg.")] = None,
+    sex: Annotated[str | None, typer.Option(help="female or male.")] = None,
+    age: Annotated[float | None, typer.Option(help="The person's age in years.")] = None,
+    load: Annotated[float | None, typer.Option(help="What is lifted, in kg.")] = None,
+    hands: Annotated[int | None, typer.Option(help="Hands on the load, 1 or 2.")] = None,
+    coupling: Annotated[
+        str | None, typer.Option(help="How well the hands hold the load: good, fair or poor.")
+    ] = None,
+    frequency: Annotated[float | None, typer.Option(help="Lifts per minute.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Hours of lifting in a row.")] = None,
+    recovery: Annotated[
+        float | None, typer.Option(help="Hours of light work that follow the lifting.")
+    ] = None,
+    destination_control: Annotated[
+        bool | None,
+        typer.Option(
+            "--destination-control/--no-destination-control",
+            help="Whether the load must be set down with care.",
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file with any of these settings; options win over it.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Result folder; by default ./liftlens_VIDEO.")
+    ] = None,
+    label: Annotated[
+        str | None, typer.Option(help="Name of the trial; by default that of the video.")
+    ] = None,
+    correction: Annotated[
+        str | None, typer.Option(help="How keypoints are cleaned: default or none (paper: later).")
+    ] = None,
+    fusion: Annotated[
+        str | None, typer.Option(help="How two views are joined: not available yet.")
+    ] = None,
+    sync: Annotated[
+        str | None, typer.Option(help="Time between two views: not available yet.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Trained model file: not available yet.")
+    ] = None,
+    methods: Annotated[
+        str | None, typer.Option(help="Risk methods, as A,B; see `liftlens methods`.")
+    ] = None,
+    start: Annotated[float | None, typer.Option(help="Start of the part to assess, in s.")] = None,
+    stop: Annotated[float | None, typer.Option(help="End of the part to assess, in s.")] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(help="The person in the first frame, as LEFT,TOP,RIGHT,BOTTOM in px."),
+    ] = None,
+    overlay: Annotated[
+        bool | None, typer.Option("--overlay/--no-overlay", help="Write the annotated video.")
+    ] = None,
+    blur: Annotated[
+        bool | None, typer.Option("--blur/--no-blur", help="Blur heads in the annotated video.")
+    ] = None,
+    quiet: Quiet = None,
+    debug: Debug = False,
+) -> None:
+    """Assess one video and write a result folder.
+
+    A configuration file has these tables: [person] stature_m, mass_kg, sex, age_y, label;
+    [task] load_kg, hands, coupling, frequency_per_min, duration_h, recovery_h,
+    destination_control, notes; [trial] label, site, job; [run] out, quiet; and one table per
+    step: [video] start_s, stop_s; [subject] box; [pose] backend, variant, threads;
+    [correction] preset; [kinematics] solver; [risk] methods; [output] overlay, blur_heads.
+    """
+    from engine.cli_settings import OPTION_KEYS, build_settings
+
+    given = locals()
+    settings = build_settings(
+        video,
+        second_video=video2,
+        config_path=config,
+        options={name: given[name] for name in OPTION_KEYS},
+    )
+    _assess(settings)
+
+
+def _assess(settings: AssessSettings) -> None:
+    from engine.cli_output import summarise
+    from engine.storage.results import check_target, read_result
+
+    target = check_target(settings.out)
+    folder = _run_pipeline(settings, target)
+    typer.echo(summarise(read_result(folder)))
+    typer.echo(f"\nResult: {folder}")
+
+
+def _run_pipeline(settings: AssessSettings, folder: Path) -> Path:
+    from engine.cli_output import show_progress, stop_on_signal
+
+    with (
+        show_progress(is_quiet=settings.is_quiet) as shown,
+        stop_on_signal(shown) as progress,
+    ):
+        progress("start", 0, 0)
+        # Imported under the signal handler: it takes seconds, and Ctrl-C should count.
+        from engine.pipeline import assess_to_folder
+
+        return assess_to_folder(settings.trial, settings.config, folder, progress)
+
+
+@app.command()
+@_one_sentence
+def demo(
+    serve: Annotated[
+        bool, typer.Option("--serve/--no-serve", help="Open the dashboard afterwards.")
+    ] = True,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the dashboard.")] = 8501,
+    host: Annotated[str, typer.Option(help="Address the dashboard listens on.")] = "localhost",
+    quiet: Quiet = None,
+    debug: Debug = False,
+) -> None:
+    """Assess the bundled samples into the library and open the dashboard."""
+    from engine.cli_demo import read_samples
+    from engine.storage.library import Library
+
+    samples = read_samples()
+    library = Library.open()
+    for number, sample in enumerate(samples, start=1):
+        if not _is_assessed(library, sample.trial_id):
+            if not quiet:
+                typer.echo(f"Sample {number} of {len(samples)}: {sample.title}", err=True)
+            _run_pipeline(sample.settings(is_quiet=bool(quiet)), library.folder(sample.trial_id))
+    typer.echo(_list_samples(library, [sample.trial_id for sample in samples]))
+    typer.echo(f"\nLibrary: {library.root}")
+    if serve:
+        _serve(host=host, port=port)
+
+
+def _is_assessed(library: Library, trial_id: str) -> bool:
+    """Whether a readable result is there; a damaged one is deleted."""
+    from engine.errors import DataError
+    from engine.storage.results import read_result
+
+    if not library.has(trial_id):
+        return False
+    try:
+        read_result(library.folder(trial_id))
+    except DataError:
+        library.delete(trial_id)
+        return False
+    return True
+
+
+def _list_samples(library: Library, trial_ids: list[str]) -> str:
+    from engine.cli_output import format_columns, format_index
+    from engine.storage.results import read_result
+
+    levels = {entry.id: entry.worst_level for entry in library.entries()}
+    rows: list[tuple[str, ...]] = []
+    for trial_id in trial_ids:
+        stored = read_result(library.folder(trial_id))
+        rnle = stored.risk.get("rnle")
+        times = [f"{lift.start_s:.2f}-{lift.end_s:.2f}" for lift in stored.lifts]
+        level = levels.get(trial_id)
+        rows.append(
+            (
+                stored.document["label"],
+                ", ".join(times) or "none",
+                "-" if rnle is None else format_index(rnle.value, rnle.interval),
+                "-" if level is None else level.value,
+            )
+        )
+    titles = ("Sample", "Lifts (s)", "Lifting index (about 95 %)", "Flag")
+    return "\n".join(format_columns(titles, rows))
+
+
+@app.command()
+@_one_sentence
+def backends(debug: Debug = False) -> None:
+    """List the estimators, their licences and what is missing to use them."""
+    from engine.pose.base import list_backends
+
+    table = _make_table("Name", "Title", "Licence", "Available")
+    for info in list_backends():
+        missing = f"missing: {', '.join(info.missing)}; run: {info.install_hint}"
+        table.add_row(info.name, info.title, info.licence, missing if info.missing else "yes")
+    _print_table(table, empty="No estimator is installed.")
+
+
+@app.command()
+@_one_sentence
+def methods(debug: Debug = False) -> None:
+    """List the risk methods, their sources and whether they run by default."""
+    from engine.ergonomics.base import list_methods
+
+    table = _make_table("Name", "Title", "Available", "Reference")
+    for method in list_methods():
+        info = method.info
+        switch = "experimental: set risk.experimental = true"
+        table.add_row(
+            info.name, info.title, switch if info.is_experimental else "yes", info.reference
+        )
+    _print_table(table, empty="No risk method is installed.")
+
+
+def _make_table(*columns: str) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _print_table(table: Table, *, empty: str) -> None:
+    from rich.console import Console
+
+    if not table.row_count:
+        typer.echo(empty)
+        return
+    # A file or a pipe has no width: don't fold names at the 80 columns rich assumes.
+    Console(width=None if sys.stdout.isatty() else 160, markup=False).print(table)
+
+
+@app.command()
+@_one_sentence
+def export(
+    result_dir: Annotated[Path, typer.Argument(help="A result folder.")],
+    format_: Annotated[str, typer.Option("--format", help="trc, mot or csv (c3d, bvh: later).")],
+    out: Annotated[
+        Path | None, typer.Option(help="File or folder; by default a file in this folder.")
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Write a result in the format of another tool."""
+    from engine.storage.exports import export_result
+
+    typer.echo(f"Written: {export_result(result_dir, format_, out)}")
+
+
+@app.command()
+@_one_sentence
+def serve(
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen on.")] = 8501,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "localhost",
+    debug: Debug = False,
+) -> None:
+    """Open the dashboard in a browser; Ctrl-C ends it."""
+    _serve(host=host, port=port)
+
+
+def _serve(*, host: str, port: int) -> None:
+    from engine.cli_serve import serve_dashboard
+
+    exit_code = serve_dashboard(host=host, port=port, say=typer.echo)
+    if exit_code:
+        raise typer.Exit(exit_code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""Options and the configuration file become one set of settings; options win."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from engine.config import Config, build_config, build_section, read_config
+from engine.datatypes import Subject, Task, Trial, View, parse_coupling
+from engine.errors import ConfigError
+
+__all__ = ["OPTION_KEYS", "AssessSettings", "build_settings"]
+
+OPTION_KEYS: Mapping[str, tuple[str, str]] = {
+    "stature": ("person", "stature_m"),
+    "mass": ("person", "mass_kg"),
+    "sex": ("person", "sex"),
+    "age": ("person", "age_y"),
+    "load": ("task", "load_kg"),
+    "hands": ("task", "hands"),
+    "coupling": ("task", "coupling"),
+    "frequency": ("task", "frequency_per_min"),
+    "duration": ("task", "duration_h"),
+    "recovery": ("task", "recovery_h"),
+    "destination_control": ("task", "destination_control"),
+    "label": ("trial", "label"),
+    "calibration": ("trial", "calibration"),
+    "fusion": ("trial", "fusion"),
+    "sync": ("trial", "sync"),
+    "model": ("trial", "model"),
+    "backend": ("pose", "backend"),
+    "solver": ("kinematics", "solver"),
+    "correction": ("correction", "preset"),
+    "methods": ("risk", "methods"),
+    "start": ("video", "start_s"),
+    "stop": ("video", "stop_s"),
+    "box": ("subject", "box"),
+    "overlay": ("output", "overlay"),
+    "blur": ("output", "blur_heads"),
+    "out": ("run", "out"),
+    "quiet": ("run", "quiet"),
+}
+"""Where each option of `assess` stands in a configuration file: table and key."""
+
+NOT_YET = {
+    "calibration": "two cameras are not available yet, so a calibration has no effect",
+    "fusion": "two cameras are not available yet, so there is nothing to fuse",
+    "sync": "two cameras are not available yet, so there is nothing to synchronise",
+    "model": "no estimator of this version takes a model file",
+}
+
+
+@dataclass(frozen=True)
+class _TrialTable:
+    """The table [trial]; what isn't available yet is known, so that it can be refused clearly."""
+
+    label: str = ""
+    site: str = ""
+    job: str = ""
+    calibration: str = ""
+    fusion: str = ""
+    sync: str = ""
+    model: str = ""
+
+    def __post_init__(self) -> None:
+        for name, why in NOT_YET.items():
+            if getattr(self, name):
+                raise ConfigError(f"'{name}' can't be used: {why}; leave it out.")
+
+
+@dataclass(frozen=True)
+class _RunTable:
+    """The table [run]: what concerns this run only and is not stored."""
+
+    out: str = ""
+    quiet: bool = False
+
+
+@dataclass(frozen=True)
+class AssessSettings:
+    """All that one `assess` needs."""
+
+    trial: Trial
+    config: Config
+    out: Path
+    is_quiet: bool
+
+
+OWN_TABLES: Mapping[str, type[Any]] = {
+    "person": Subject,
+    "task": Task,
+    "trial": _TrialTable,
+    "run": _RunTable,
+}
+
+
+def build_settings(
+    video: Path,
+    *,
+    second_video: Path | None = None,
+    config_path: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> AssessSettings:
+    """Join a configuration file and options.
+
+    Parameters
+    ----------
+    video, second_video
+        The videos; a second one is refused for now.
+    config_path
+        A TOML file.
+    options
+        Values by the names in `OPTION_KEYS`; None means not given.
+
+    Raises
+    ------
+    ConfigError
+        If anything is unknown, of the wrong type, out of range or not available yet.
+    """
+    _check_videos(video, second_video)
+    tables = {} if config_path is None else read_config(config_path)
+    _check_tables(tables)
+    for name, value in (options or {}).items():
+        if value is not None:
+            table, key = OPTION_KEYS[name]
+            tables[table] = {**tables.get(table, {}), key: _as_setting(name, value)}
+    own = {name: build_section(name, kind, _own_table(tables, name)) for name, kind in _own()}
+    config = build_config({k: v for k, v in tables.items() if k not in OWN_TABLES})
+    _check_preset(config)
+    about, run = own["trial"], own["run"]
+    return AssessSettings(
+        trial=Trial(
+            views=(View(video),),
+            subject=own["person"],
+            task=own["task"],
+            label=about.label or video.stem,
+            site=about.site,
+            job=about.job,
+        ),
+        config=config,
+        out=Path(run.out) if run.out else Path(f"liftlens_{video.stem}"),
+        is_quiet=run.quiet,
+    )
+
+
+def _own() -> list[tuple[str, type[Any]]]:
+    return list(OWN_TABLES.items())
+
+
+def _check_videos(video: Path, second_video: Path | None) -> None:
+    if second_video is not None:
+        raise ConfigError(
+            f"Expected one video, got two ({video.name}, {second_video.name}): two cameras are not "
+            "available yet; give the view from the side only."
+        )
+    if not video.is_file():
+        what = "is a folder" if video.is_dir() else "does not exist"
+        raise ConfigError(f"Expected a video file, but {video} {what}; check the path.")
+
+
+def _check_tables(tables: Mapping[str, Any]) -> None:
+    known = [*OWN_TABLES, *(f.name for f in fields(Config))]
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            raise ConfigError(
+                f"{name!r} stands outside every table; put it below one of {', '.join(known)}."
+            )
+        if name not in known:
+            raise ConfigError(
+                f"Unknown table [{name}] in the configuration; known: {', '.join(known)}."
+            )
+
+
+def _own_table(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
+    table = dict(tables.get(name, {}))
+    if name == "task" and "coupling" in table:
+        table["coupling"] = parse_coupling(table["coupling"])
+    return table
+
+
+def _check_preset(config: Config) -> None:
+    if config.correction.preset == "paper":
+        # Known now, so nobody waits minutes for the step that would say so.
+        raise ConfigError(
+            "The correction 'paper' is not available yet; use 'default' or 'none', or leave it out."
+        )
+
+
+def _as_setting(name: str, value: Any) -> Any:
+    """Return an option's value as a configuration file would hold it."""
+    if name == "methods":
+        return [part.strip() for part in str(value).split(",") if part.strip()]
+    if name == "box":
+        return _parse_box(str(value))
+    return str(value) if isinstance(value, Path) else value
+
+
+def _parse_box(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4:
+        raise ConfigError(
+            f"--box needs four numbers, left,top,right,bottom in px (120,80,420,700), got {text!r}."
+        )
+    return numbers
