@@ -7,12 +7,13 @@ configuration is stored with every result.
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from engine.errors import ConfigError
 
@@ -26,8 +27,23 @@ __all__ = [
     "RiskConfig",
     "SubjectConfig",
     "VideoConfig",
+    "build_config",
+    "build_section",
     "read_config",
 ]
+
+
+T = TypeVar("T")
+_WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
+
+
+def _require_between(low: float, high: float, **values: float) -> None:
+    """Refuse settings outside their range; NaN is outside every range."""
+    for name, value in values.items():
+        if not low <= value <= high:
+            upper = f" and {high:g}" if math.isfinite(high) else ""
+            words = f"lie between {low:g}{upper}" if upper else f"be at least {low:g}"
+            raise ConfigError(f"The setting {name} must {words}, got {value:g}.")
 
 
 @dataclass(frozen=True)
@@ -39,6 +55,14 @@ class VideoConfig:
 
     start_s: float = 0.0
     stop_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _require_between(0.0, math.inf, start_s=self.start_s)
+        if self.stop_s is not None and not self.stop_s > self.start_s:
+            raise ConfigError(
+                f"The part of the video must stop after it starts ({self.start_s:g} s), "
+                f"got stop_s = {self.stop_s:g}."
+            )
 
 
 @dataclass(frozen=True)
@@ -61,6 +85,27 @@ class SubjectConfig:
     box_margin: float = 1.25
     box: tuple[float, float, float, float] | None = None
 
+    def __post_init__(self) -> None:
+        _require_between(
+            0.0,
+            1.0,
+            first_threshold=self.first_threshold,
+            threshold_floor=self.threshold_floor,
+            track_threshold=self.track_threshold,
+        )
+        _require_between(0.01, 1.0, threshold_step=self.threshold_step)
+        _require_between(0.0, 100.0, iou_weight=self.iou_weight)
+        _require_between(0, math.inf, hold_frames=self.hold_frames)
+        _require_between(1, math.inf, detect_every=self.detect_every)
+        _require_between(1.0, 3.0, box_margin=self.box_margin)
+        if self.box is not None:
+            left, top, right, bottom = self.box
+            if not (math.isfinite(sum(self.box)) and left < right and top < bottom):
+                raise ConfigError(
+                    "The person's box must be left, top, right, bottom in px with left < right "
+                    f"and top < bottom, got {', '.join(f'{n:g}' for n in self.box)}."
+                )
+
 
 @dataclass(frozen=True)
 class PoseConfig:
@@ -74,6 +119,10 @@ class PoseConfig:
     variant: Literal["heavy", "full"] = "heavy"
     threads: int = 0
     min_person_confidence: float = 0.5
+
+    def __post_init__(self) -> None:
+        _require_between(0, 256, threads=self.threads)
+        _require_between(0.0, 1.0, min_person_confidence=self.min_person_confidence)
 
 
 @dataclass(frozen=True)
@@ -89,6 +138,16 @@ class CameraConfig:
     pitch_sigma_deg: float = 8.0
     roll_sigma_deg: float = 2.0
 
+    def __post_init__(self) -> None:
+        _require_between(10.0, 170.0, horizontal_fov_deg=self.horizontal_fov_deg)
+        _require_between(
+            0.0,
+            90.0,
+            fov_sigma_deg=self.fov_sigma_deg,
+            pitch_sigma_deg=self.pitch_sigma_deg,
+            roll_sigma_deg=self.roll_sigma_deg,
+        )
+
 
 @dataclass(frozen=True)
 class CorrectionConfig:
@@ -103,6 +162,11 @@ class CorrectionConfig:
     max_gap_s: float = 0.5
     cutoff_hz: float = 6.0
 
+    def __post_init__(self) -> None:
+        _require_between(0.0, 1.0, min_confidence=self.min_confidence)
+        _require_between(0.0, math.inf, max_gap_s=self.max_gap_s)
+        _require_between(0.1, 1000.0, cutoff_hz=self.cutoff_hz)
+
 
 @dataclass(frozen=True)
 class EventsConfig:
@@ -114,6 +178,14 @@ class EventsConfig:
     speed_floor_m_s: float = 0.05
     speed_share: float = 0.05
     max_hand_separation_m: float = 0.60
+
+    def __post_init__(self) -> None:
+        _require_between(0.01, 2.0, min_rise_m=self.min_rise_m)
+        _require_between(0.0, math.inf, min_duration_s=self.min_duration_s)
+        _require_between(self.min_duration_s, math.inf, max_duration_s=self.max_duration_s)
+        _require_between(0.0, 10.0, speed_floor_m_s=self.speed_floor_m_s)
+        _require_between(0.0, 1.0, speed_share=self.speed_share)
+        _require_between(0.0, 3.0, max_hand_separation_m=self.max_hand_separation_m)
 
 
 @dataclass(frozen=True)
@@ -195,11 +267,18 @@ def build_config(tables: dict[str, Any]) -> Config:
         if not isinstance(table, dict):
             raise ConfigError(f"[{name}] must be a table of settings, got {table!r}.")
         section_type = typing.get_type_hints(Config)[name]
-        built[name] = _build_section(name, section_type, table)
+        built[name] = build_section(name, section_type, table)
     return Config(**built)
 
 
-def _build_section(name: str, section: type[Any], table: dict[str, Any]) -> Any:
+def build_section(name: str, section: type[T], table: dict[str, Any]) -> T:
+    """Build one settings dataclass from the table `name`, checking every key and type.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown, or a value has the wrong type or is out of range.
+    """
     hints = typing.get_type_hints(section)
     for key, value in table.items():
         if key not in hints:
@@ -212,7 +291,7 @@ def _check_value(key: str, hint: Any, value: Any) -> Any:
     """Return `value` in the type `hint` asks for."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is Literal:
-        if value not in args:
+        if not any(value == a and type(value) is type(a) for a in args):
             raise ConfigError(f"{key} must be one of {', '.join(map(str, args))}; got {value!r}.")
         return value
     if origin in (typing.Union, types.UnionType):
@@ -223,8 +302,8 @@ def _check_value(key: str, hint: Any, value: Any) -> Any:
         return _check_tuple(key, args, value)
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
-        raise ConfigError(f"{key} must be {hint.__name__}, got {value!r}.")
+    if not isinstance(value, hint) or (hint is not bool and isinstance(value, bool)):
+        raise ConfigError(f"{key} must be {_WORDS.get(hint, hint.__name__)}, got {value!r}.")
     return value
 
 

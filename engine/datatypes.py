@@ -61,6 +61,8 @@ Sex = Literal["female", "male"]
 PositionUnit = Literal["px", "m"]
 FrameOfReference = Literal["image", "body", "camera", "world"]
 
+STATURE_M = (1.0, 2.3)
+"""Statures accepted, in metres."""
 ASSUMED_STATURE_M = 1.70
 """Used when the stature is unknown; the SD below is that of adults of both sexes together."""
 ASSUMED_STATURE_SIGMA_M = 0.10
@@ -159,6 +161,15 @@ def _require_times(time_s: Array) -> None:
         raise DataError("time_s must increase from frame to frame, but it does not.")
 
 
+def _hint_stature(stature: float | None) -> str:
+    """Return what to do about a stature in the wrong unit or with a slipped point."""
+    units = {"centimetres": 0.01, "millimetres": 0.001, "decimetres": 0.1, "feet": 0.3048}
+    for unit, in_metres in units.items():
+        if stature is not None and STATURE_M[0] <= stature * in_metres <= STATURE_M[1]:
+            return f"It looks like {unit}: did you mean {stature * in_metres:.2f} metres?"
+    return "Give the stature in metres, for example 1.75."
+
+
 def _require_range(
     name: str, value: float | None, low: float, high: float, unit: str, hint: str = ""
 ) -> None:
@@ -210,8 +221,7 @@ class Subject:
     age_y: float | None = None
 
     def __post_init__(self) -> None:
-        hint = "Give the stature in metres, for example 1.75."
-        _require_range("Stature", self.stature_m, 1.0, 2.3, "m", hint)
+        _require_range("Stature", self.stature_m, *STATURE_M, "m", _hint_stature(self.stature_m))
         _require_range("Body mass", self.mass_kg, 25.0, 300.0, "kg")
         _require_range("Age", self.age_y, 10.0, 100.0, "years")
         if self.sex not in (None, "female", "male"):
