@@ -174,7 +174,7 @@ def _read_part(
 
 
 def _iterate_images(
-    path: Path, start_s: float, stop_s: float, max_side_px: int | None
+    path: Path, start_s: float, stop_s: float, max_side_px: int | None, *, may_jump: bool = True
 ) -> Iterator[tuple[float, NDArray[np.uint8] | None]]:
     """Yield times up to `stop_s`, with an image from `start_s` on."""
     with _open_video(path) as (container, stream):
@@ -184,7 +184,13 @@ def _iterate_images(
             return
         clock = _Clock.start_at(first, container, stream)
         convert = _Converter.plan(first, stream, max_side_px)
-        pictures = _jump(container, stream, path, first, clock, start_s) or chain([first], pictures)
+        pictures = chain([first], pictures)
+        if may_jump and start_s >= SEEK_FROM_S and not clock.counts_pictures:
+            jumped = _jump(container, stream, path, clock, start_s)
+            if jumped is None:
+                yield from _iterate_images(path, start_s, stop_s, max_side_px, may_jump=False)
+                return
+            pictures = jumped
         try:
             for picture in pictures:
                 time_s = clock.stamp(picture)
@@ -199,36 +205,25 @@ def _iterate_images(
 
 
 def _jump(
-    container: InputContainer,
-    stream: VideoStream,
-    path: Path,
-    first: VideoFrame,
-    clock: _Clock,
-    start_s: float,
+    container: InputContainer, stream: VideoStream, path: Path, clock: _Clock, start_s: float
 ) -> Iterator[VideoFrame] | None:
-    """Return the pictures from a key picture before `start_s` on; None to read from the first.
+    """Return the pictures from a key picture at or before `start_s` on.
 
-    Some files (broken or missing index) land behind the target; they are read from the
-    beginning instead.
+    None if the file lands elsewhere: some have no index, or a wrong one.
     """
-    if start_s < SEEK_FROM_S or clock.counts_pictures or first.pts is None:
+    origin = clock.origin or 0
+    target = origin + math.floor(start_s / clock.unit_s)
+    try:
+        container.seek(target, stream=stream, backward=True)
+    except av.error.FFmpegError:
         return None
-    for target_s in (start_s, 0.0):
-        target = first.pts + math.floor(target_s / clock.unit_s)
-        try:
-            container.seek(target, stream=stream, backward=True)
-        except av.error.FFmpegError:
-            continue
-        pictures = _decode(container, stream, path)
-        landed = next(pictures, None)
-        if landed is None or landed.pts is None:
-            continue
-        if (landed.pts - first.pts) * clock.unit_s <= target_s + TIME_TOLERANCE_S:
-            return chain([landed], pictures)
-    raise VideoError(
-        f"{path.name} does not let one start at {start_s:g} s: its index is damaged. "
-        "Export it again from the phone or camera, or read it from the beginning."
-    )
+    pictures = _decode(container, stream, path)
+    landed = next(pictures, None)
+    if landed is None or landed.pts is None:
+        return None
+    if (landed.pts - origin) * clock.unit_s > start_s + TIME_TOLERANCE_S:
+        return None
+    return chain([landed], pictures)
 
 
 @contextmanager
