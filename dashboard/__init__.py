@@ -1,1 +1,1 @@
-"""The browser front end; thin pages over the engine."""
+"""The dashboard: thin pages over the engine."""

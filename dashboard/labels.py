@@ -1,0 +1,254 @@
+"""Wording, units and risk colours: what the pages say, in one place.
+
+Plain words for users; the field's terms stand in the help texts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from engine.datatypes import Coupling, FlagLevel, Measurement, Provenance
+from engine.errors import ConfigError
+from engine.jobs.local import JobState
+from engine.kinematics.angles import describe_angle
+
+MISSING = "not seen"
+
+
+@dataclass(frozen=True)
+class LevelLabel:
+    """How a level is shown: never by its colour alone, but by a shape and a word too.
+
+    `css` names colour and shape in the style sheet.
+    """
+
+    word: str
+    meaning: str
+    css: str
+
+
+LEVELS: dict[FlagLevel, LevelLabel] = {
+    FlagLevel.HIGH: LevelLabel("High risk", "Change the work before it goes on.", "high"),
+    FlagLevel.REVIEW: LevelLabel("Needs review", "A professional should look at this.", "review"),
+    FlagLevel.OK: LevelLabel("No concern", "This check found nothing to act on.", "ok"),
+}
+NOT_JUDGED = LevelLabel("Not judged", "There is not enough to judge this.", "none")
+
+COUPLINGS: dict[Coupling, str] = {
+    Coupling.GOOD: "Good: handles or cut-outs that the whole hand fits into",
+    Coupling.FAIR: "Fair: no handles, but the fingers bend under the load",
+    Coupling.POOR: "Poor: bulky, slippery, sharp or sagging; hard to hold",
+}
+
+PROVENANCE: dict[Provenance, str] = {
+    Provenance.MEASURED: "measured in the video",
+    Provenance.USER: "entered by you",
+    Provenance.DERIVED: "calculated",
+    Provenance.ASSUMED: "assumed",
+}
+
+STAGES: dict[str, str] = {
+    "": "Waiting",
+    "start": "Starting",
+    "probe": "Looking at the video",
+    "video": "Reading the video",
+    "subject": "Finding the person",
+    "pose": "Following the person's joints",
+    "cameras": "Placing the person in the room",
+    "scene": "Placing the person in the room",
+    "correction": "Cleaning the movement",
+    "kinematics": "Working out the joint angles",
+    "events": "Finding the lifts",
+    "ergonomics": "Judging the lifts",
+    "risk": "Judging the lifts",
+    "overlay": "Drawing the annotated video",
+    "write": "Saving the result",
+}
+
+JOB_STATES: dict[JobState, str] = {
+    JobState.QUEUED: "Waiting for its turn",
+    JobState.STARTING: "Starting",
+    JobState.RUNNING: "Running",
+    JobState.DONE: "Done",
+    JobState.FAILED: "Failed",
+    JobState.CANCELLED: "Cancelled",
+}
+
+JOINTS: dict[str, tuple[str, ...]] = {
+    "Trunk": ("trunk_flexion", "trunk_lateral_bend", "trunk_twist"),
+    "Lower back": ("lumbar_flexion", "lumbar_bending", "lumbar_rotation"),
+    "Hips": ("hip_flexion_l", "hip_flexion_r"),
+    "Knees": ("knee_flexion_l", "knee_flexion_r"),
+    "Shoulders": ("shoulder_flexion_l", "shoulder_flexion_r"),
+    "Elbows": ("elbow_flexion_l", "elbow_flexion_r"),
+}
+
+PLAIN_ANGLES: dict[str, str] = {
+    "trunk_flexion": "Forward bend",
+    "trunk_lateral_bend": "Sideways bend",
+    "trunk_twist": "Twist",
+    "lumbar_flexion": "Forward bend of the lower back",
+    "lumbar_bending": "Sideways bend of the lower back",
+    "lumbar_rotation": "Twist of the lower back",
+}
+
+COVERAGE: dict[str, tuple[str, str]] = {
+    "measured": ("seen", "Samples the estimator saw and the checks kept."),
+    "repaired": ("repaired", "Samples whose left and right had been swapped."),
+    "filled": ("filled in", "Short gaps that were bridged."),
+    "missing": ("not seen", "Left empty: nothing is invented."),
+}
+
+FACTORS: dict[str, tuple[str, str]] = {
+    "HM": ("Reach (H)", "How far the hands are in front of the ankles."),
+    "VM": ("Height (V)", "How high the hands are above the floor."),
+    "DM": ("Travel (D)", "How far the load moves up or down."),
+    "AM": ("Twist (A)", "How far the load is to the side of straight ahead."),
+    "FM": ("Frequency (F)", "How often and how long the work goes on."),
+    "CM": ("Grip (C)", "How well the hands can hold the load."),
+}
+
+HELP: dict[str, str] = {
+    "label": "Shown in the list of trials, for example: crate to shelf.",
+    "subject": "A pseudonym, never the name of the person.",
+    "stature": (
+        "Body height in metres, with shoes as filmed. It sets the scale of everything that is "
+        "measured. Left empty, 1.70 m is assumed and the stated errors grow."
+    ),
+    "mass": "Optional. Methods that estimate the load on the spine need it.",
+    "sex": "Optional. Some methods have limits that differ between women and men.",
+    "load": "Weight of what is lifted. Without it, only the limit is stated, not the index.",
+    "hands": "The lifting equation holds for lifts with both hands.",
+    "coupling": (
+        "How well the hands can hold the load (coupling). In doubt choose the worse one. "
+        "Left open, fair is assumed."
+    ),
+    "frequency": "Lifts per minute, averaged over 15 minutes of usual work.",
+    "duration": "Hours of such lifting in one stretch, without the recovery after it.",
+    "recovery": (
+        "Hours of light work or rest that follow the stretch. Long enough, they allow the "
+        "limits for short work."
+    ),
+    "control": (
+        "Must the load be placed with care: guided, held still or gripped anew at the end "
+        "(significant control)? Then the end of the lift is judged like its start."
+    ),
+    "lifting_index": (
+        "Load divided by the recommended weight limit (Revised NIOSH Lifting Equation). Up to "
+        "1 the design goal is met; the higher, the more workers are at raised risk. The range "
+        "is about 95 %, from the errors of what was measured."
+    ),
+}
+
+
+def format_number(value: float | None, digits: int = 0) -> str:
+    """Return a number with a true minus sign, or a dash where there is none."""
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞"
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "−") if float(text) else f"{0:.{digits}f}"
+
+
+def format_measurement(measured: Measurement, unit: str, digits: int = 0) -> str:
+    """Return value ± standard error with the unit."""
+    if measured.is_missing:
+        return MISSING
+    error = "" if math.isnan(measured.sigma) else f" ± {format_number(measured.sigma, digits)}"
+    gap = "" if unit == "°" else " "
+    return f"{format_number(measured.value, digits)}{error}{gap}{unit}"
+
+
+def format_index(value: float) -> str:
+    """Return a lifting index to one decimal."""
+    return format_number(value, 1)
+
+
+def format_interval(interval: tuple[float, float], digits: int = 1) -> str:
+    """Return an interval, empty where it is unknown."""
+    low, high = interval
+    if math.isnan(low) or math.isnan(high):
+        return ""
+    if math.isinf(high):
+        return "no limit left" if math.isinf(low) else f"{format_number(low, digits)} or more"
+    return f"{format_number(low, digits)} to {format_number(high, digits)}"
+
+
+def format_value(value: Any, unit: str = "") -> str:
+    """Return any input of a method in words."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    text = f"{value:.4g}" if isinstance(value, int | float) else str(value)
+    return f"{text} {unit}".strip()
+
+
+def format_time(moment: datetime) -> str:
+    """Return a local time of day and date."""
+    return f"{moment.astimezone():%d %b %Y, %H:%M}".lstrip("0")
+
+
+def format_span(seconds: float) -> str:
+    """Return a length of time in words."""
+    whole = round(seconds)
+    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60:02d} s"
+
+
+def format_window(start_s: float, end_s: float) -> str:
+    """Return when something happens in the video."""
+    if math.isnan(start_s):
+        return ""
+    return f"{start_s:.1f} s to {end_s:.1f} s"
+
+
+def sentence(text: str) -> str:
+    """Return a reason as a sentence."""
+    text = text.strip()
+    if not text:
+        return text
+    return text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+
+
+def count(number: int, noun: str) -> str:
+    """Return a number with its noun, in the right number."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def name_angle(name: str) -> str:
+    """Return what a curve is called: left and right are the subject's."""
+    if name in PLAIN_ANGLES:
+        return PLAIN_ANGLES[name]
+    side = {"_l": "left", "_r": "right"}.get(name[-2:], "")
+    try:
+        title = describe_angle(name).title
+    except ConfigError:
+        title = name.removesuffix("_l").removesuffix("_r").replace("_", " ").capitalize()
+    return f"{title}, {side}" if side else title
+
+
+def name_stage(stage: str) -> str:
+    """Return the running step in plain words."""
+    return STAGES.get(stage, stage.replace("_", " ").capitalize())
+
+
+def name_method(method: str) -> str:
+    """Return what a risk method is called."""
+    return {"rnle": "NIOSH lifting equation"}.get(method, method.replace("_", " "))
+
+
+def format_factor_input(name: str, values: Mapping[str, Any], details: Mapping[str, Any]) -> str:
+    """Return what a multiplier of the lifting equation follows from."""
+    return {
+        "HM": lambda: f"{format_number(values['H_cm'])} cm",
+        "VM": lambda: f"{format_number(values['V_cm'])} cm",
+        "DM": lambda: f"{format_number(details['D_cm'])} cm",
+        "AM": lambda: f"{format_number(values['A_deg'])}°",
+        "FM": lambda: f"{details['frequency_per_min']:g}/min, {details['duration_class']}",
+        "CM": lambda: str(details["coupling"]),
+    }[name]()

@@ -1,0 +1,19 @@
+"""The pages, by name: one place for their files, addresses and titles."""
+
+from __future__ import annotations
+
+import streamlit as st
+from streamlit.navigation.page import Page
+
+TRIALS = "views/trials.py"
+NEW_ASSESSMENT = "views/new_assessment.py"
+TRIAL = "views/trial.py"
+
+
+def build() -> list[Page]:
+    """Return the pages; a trial's page is reached through the list or its address only."""
+    return [
+        st.Page(TRIALS, title="Trials", icon=":material/list:", url_path="trials", default=True),
+        st.Page(NEW_ASSESSMENT, title="New assessment", icon=":material/add:", url_path="new"),
+        st.Page(TRIAL, title="Trial", url_path="trial", visibility="hidden"),
+    ]

@@ -1,0 +1,143 @@
+"""All session state and query parameters, as typed functions; keys stand nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import streamlit as st
+
+from dashboard.cache import Sample
+from engine.jobs.local import JobRequest
+
+_UPLOAD = "upload"
+_REJECTED = "rejected_upload"
+_FORM = "form"
+_ROUND = "form_round"
+_TRIAL = "trial"
+_JOB = "job"
+
+SAMPLE_KEY = "sample"
+SOURCE_KEY = "source"
+UPLOAD_SOURCE, SAMPLE_SOURCE = "Upload a video", "Use a sample"
+
+FIELDS = (
+    "label", "subject", "stature_m", "sex", "mass_kg", "load_kg", "hands", "coupling",
+    "frequency_per_min", "duration_h", "recovery_h", "destination_control", "sample",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A video that arrived: where it lies now, and which transfer it came by."""
+
+    path: Path
+    transfer_id: str
+    facts: str
+
+
+def trial_id() -> str | None:
+    """Return the trial the address names."""
+    return st.query_params.get(_TRIAL)
+
+
+def trial_parameters(identifier: str) -> dict[str, str]:
+    """Return the address parameters of a trial's page."""
+    return {_TRIAL: identifier}
+
+
+def job_id() -> str | None:
+    """Return the job the address names."""
+    return st.query_params.get(_JOB)
+
+
+def set_job_id(identifier: str | None) -> None:
+    """Put a job into the address, so that a reload shows it again."""
+    if identifier is None:
+        st.query_params.clear()
+    else:
+        st.query_params[_JOB] = identifier
+
+
+def job_parameters(identifier: str) -> dict[str, str]:
+    """Return the address parameters of a job's page."""
+    return {_JOB: identifier}
+
+
+def upload() -> Upload | None:
+    """Return the uploaded video of this session."""
+    found: Upload | None = st.session_state.get(_UPLOAD)
+    return found if found is None or found.path.exists() else None
+
+
+def set_upload(value: Upload | None) -> None:
+    """Remember the uploaded video."""
+    st.session_state[_UPLOAD] = value
+
+
+def rejected_upload() -> tuple[str, str] | None:
+    """Return the transfer that was refused, and why."""
+    found: tuple[str, str] | None = st.session_state.get(_REJECTED)
+    return found
+
+
+def set_rejected_upload(transfer_id: str, why: str) -> None:
+    """Remember a refused upload."""
+    st.session_state[_REJECTED] = (transfer_id, why)
+
+
+def is_known_transfer(transfer_id: str) -> bool:
+    """Whether an upload was dealt with already: saved, handed to a job, or refused."""
+    refused = rejected_upload()
+    return transfer_id == upload_transfer() or (refused is not None and refused[0] == transfer_id)
+
+
+def upload_transfer() -> str | None:
+    """Return by which transfer the present upload came; empty for one an ended job gave back."""
+    found: Upload | None = st.session_state.get(_UPLOAD)
+    return None if found is None else found.transfer_id
+
+
+def choose_sample_source() -> None:
+    """Let the form start at the bundled samples."""
+    st.session_state[SOURCE_KEY] = SAMPLE_SOURCE
+
+
+def chosen_sample() -> str | None:
+    """Return the key of the chosen sample."""
+    found: str | None = st.session_state.get(SAMPLE_KEY)
+    return found
+
+
+def fill_from_sample(sample: Sample) -> None:
+    """Start the form anew with what is known of a sample."""
+    st.session_state[_ROUND] = st.session_state.get(_ROUND, 0) + 1
+    st.session_state[_FORM] = {**sample.values, "label": sample.title, "sample": sample.key}
+
+
+def field_key(field: str) -> str:
+    """Return the widget key of a form field; it changes when the form is filled anew."""
+    return f"field_{field}_{st.session_state.get(_ROUND, 0)}"
+
+
+def field_value(field: str) -> Any:
+    """Return what a form field holds now."""
+    return st.session_state.get(field_key(field))
+
+
+def initial_value(field: str, otherwise: Any = None) -> Any:
+    """Return what a form field starts with."""
+    return st.session_state.get(_FORM, {}).get(field, otherwise)
+
+
+def fill_form(request: JobRequest | None) -> None:
+    """Start the form anew: empty, or with the values of an earlier request."""
+    st.session_state[_ROUND] = st.session_state.get(_ROUND, 0) + 1
+    st.session_state[_FORM] = {} if request is None else _form_values(request)
+
+
+def _form_values(request: JobRequest) -> dict[str, Any]:
+    known = {f: getattr(request.task, f) for f in FIELDS if hasattr(request.task, f)}
+    known |= {f: getattr(request.subject, f) for f in FIELDS if hasattr(request.subject, f)}
+    return {**known, "label": request.label, "subject": request.subject.label}

@@ -1,0 +1,357 @@
+"""The parts of a trial's page: each shows one part of a stored result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from html import escape
+from typing import Any
+
+import streamlit as st
+
+from dashboard import cache, charts, labels
+from dashboard.labels import format_measurement, format_number, format_window
+from dashboard.widgets import (
+    chip_html,
+    facts_html,
+    is_dark,
+    level_label,
+    list_html,
+    table_html,
+    when,
+)
+from engine.datatypes import Flag, FlagLevel, RiskResult
+from engine.storage.results import StoredResult
+
+URGENCY = (FlagLevel.HIGH, FlagLevel.REVIEW, FlagLevel.OK)
+LIFTING_INDEX_METHOD = "rnle"
+
+
+def show_title(result: StoredResult) -> None:
+    """Show what was filmed, when, and of whom."""
+    document = result.document
+    st.title(document["label"] or "Untitled trial", anchor=False)
+    person = f"Person {result.subject.label}"
+    length = document["views"][0]["duration_s"]
+    facts = (
+        when(document["created"]),
+        person,
+        labels.count(len(result.lifts), "lift"),
+        f"{length:.1f} s of video" if length else "",
+        f"Load {result.task.load_kg:g} kg" if result.task.load_kg is not None else "Load not given",
+        " · ".join(part for part in (document["site"], document["job"]) if part),
+    )
+    st.html(facts_html(facts))
+
+
+def show_flags(result: StoredResult) -> None:
+    """Show the most urgent flag as the verdict, and the others below it."""
+    flags = sorted(result.flags, key=lambda flag: URGENCY.index(flag.level))
+    st.html(_verdict_html(flags[0] if flags else None, result.risk.get(LIFTING_INDEX_METHOD)))
+    if len(flags) > 1:
+        others = "".join(_flag_html(flag) for flag in flags[1:])
+        with st.container(border=True):
+            st.html(f"<div>{others}</div>")
+
+
+def _verdict_html(flag: Flag | None, risk: RiskResult | None) -> str:
+    label = level_label(flag.level if flag else None)
+    if flag is None:
+        text = "<h3>No flag was raised</h3><p>Nothing in this video could be judged.</p>"
+    else:
+        text = f"<h3>{escape(flag.what)}</h3><p>{escape(flag.why)}</p>{_origin_html(flag)}"
+        text += _change_html(flag)
+    return (
+        f'<section class="ll-verdict ll-tone-{label.css}" aria-label="Verdict">'
+        f"<div>{chip_html(label)}{text}</div>{_score_html(risk)}</section>"
+    )
+
+
+def _change_html(flag: Flag) -> str:
+    if not flag.change:
+        return ""
+    return f'<p class="ll-change"><b>What would change it</b><br>{escape(flag.change)}</p>'
+
+
+def _origin_html(flag: Flag) -> str:
+    lift = "" if flag.lift_index is None else f"Lift {flag.lift_index + 1}"
+    parts = (lift, format_window(flag.start_s, flag.end_s), labels.name_method(flag.method))
+    return f'<p class="ll-quiet ll-small">{escape(" · ".join(p for p in parts if p))}</p>'
+
+
+def _score_html(risk: RiskResult | None) -> str:
+    if risk is None or not risk.is_applicable or math.isnan(risk.value):
+        return ""
+    span = labels.format_interval(risk.interval)
+    under = f"95 % range {span}" if span else ""
+    return (
+        f'<div class="ll-score" title="{escape(labels.HELP["lifting_index"])}">'
+        f'<div class="ll-name">Lifting index</div>'
+        f'<div class="ll-number">{labels.format_index(risk.value)}</div>'
+        f'<div class="ll-quiet ll-small">{escape(under)}<br>{escape(risk.category)} '
+        f"· goal: 1.0 or less</div></div>"
+    )
+
+
+def _flag_html(flag: Flag) -> str:
+    change = f"<p>{escape(flag.change)}</p>" if flag.change else ""
+    return (
+        f'<div class="ll-flag"><div>{chip_html(level_label(flag.level))}</div>'
+        f"<div><b>{escape(flag.what)}</b><p>{escape(flag.why)}</p>{change}{_origin_html(flag)}"
+        "</div></div>"
+    )
+
+
+def show_video(result: StoredResult) -> None:
+    """Show the annotated video, from the start or from a lift on."""
+    if result.overlay_path is None:
+        st.info("This trial was saved without its annotated video.", icon=":material/videocam_off:")
+        return
+    starts = {"From the start": 0.0}
+    for number, lift in enumerate(result.lifts, start=1):
+        if not math.isnan(lift.start_s):
+            starts[f"Lift {number}"] = max(0.0, lift.start_s - 1.0)
+    slot = st.container()
+    chosen = st.segmented_control(
+        "Play", list(starts), default="From the start", required=True, label_visibility="collapsed"
+    )
+    with slot:
+        st.video(
+            str(result.overlay_path),
+            start_time=starts[chosen or "From the start"],
+            muted=True,
+            alt="The lift with the measured joints drawn on it; heads are blurred",
+        )
+
+
+def show_lifts(result: StoredResult) -> None:
+    """Show where the hands were at both ends of every lift."""
+    if not result.lifts:
+        st.info("No lift was found in this video.", icon=":material/search_off:")
+        return
+    head = (
+        ("Lift", ""),
+        ("When", "From lift-off to set-down."),
+        ("Reach H", "Horizontal distance from the ankles to the hands (H), start → end."),
+        ("Height V", "Height of the hands above the floor (V), start → end."),
+        ("Twist A", "Angle of the load to the side of straight ahead (A), start → end."),
+        ("Travel D", "How far the load moves up or down (D)."),
+        ("Hands", "How many hands moved with the load."),
+    )
+    rows = []
+    for number, lift in enumerate(result.lifts, start=1):
+        a, b = lift.origin, lift.destination
+        rows.append(
+            (
+                str(number),
+                f"{lift.start_s:.1f}–{lift.end_s:.1f} s",
+                f"{format_measurement(a.H_cm, 'cm')} → {format_measurement(b.H_cm, 'cm')}",
+                f"{format_measurement(a.V_cm, 'cm')} → {format_measurement(b.V_cm, 'cm')}",
+                f"{format_measurement(a.A_deg, '°')} → {format_measurement(b.A_deg, '°')}",
+                format_measurement(lift.D_cm, "cm"),
+                str(lift.hands),
+            )
+        )
+    st.html(table_html(head, rows))
+    st.caption("Start → end of each lift. ± is one standard error.")
+
+
+def show_angles(result: StoredResult) -> None:
+    """Show the joint angles of one joint at a time."""
+    there = {
+        title: [name for name in names if name in result.angles.names]
+        for title, names in labels.JOINTS.items()
+    }
+    there = {title: names for title, names in there.items() if names}
+    if not there:
+        st.info("No joint angle could be measured.", icon=":material/search_off:")
+        return
+    first = next(iter(there))
+    joint = st.segmented_control(
+        "Joint", list(there), default=first, required=True, label_visibility="collapsed"
+    )
+    names = there[joint or first]
+    figure = charts.plot_angles(result.angles, names, result.lifts, dark=is_dark())
+    st.plotly_chart(
+        figure, config={"displaylogo": False, "displayModeBar": False}, alt=f"{joint} angles"
+    )
+    missing = charts.share_missing(result.angles, names)
+    gaps = f" Not seen for {missing:.0%} of the time: the curve stays open there." * (missing > 0)
+    st.caption(
+        f"The band is about 95 % (± 2 standard errors). Left and right are the person's.{gaps}"
+    )
+
+
+def show_equation(result: StoredResult) -> None:
+    """Show the lifting equation of one lift with both ends side by side."""
+    risk = result.risk.get(LIFTING_INDEX_METHOD)
+    if risk is None:
+        st.info("The lifting equation was not part of this assessment.")
+        return
+    if len(risk.per_lift) > 1:
+        names = {index: f"Lift {index + 1}" for index in range(len(risk.per_lift))}
+        worst = int(risk.details.get("governing_lift", 0))
+        chosen = st.segmented_control(
+            "Lift", list(names), format_func=names.__getitem__, default=worst, required=True,
+            label_visibility="collapsed",
+        )  # fmt: skip
+        risk = risk.per_lift[worst if chosen is None else chosen]
+    if not risk.is_applicable:
+        st.warning("The lifting equation must not be used here.", icon=":material/block:")
+        st.html(list_html(map(labels.sentence, risk.reasons)))
+        return
+    _show_ends(risk)
+    if risk.reasons:
+        with st.container(border=True):
+            st.markdown("**Keep in mind**")
+            st.html(list_html(map(labels.sentence, risk.reasons)))
+    with st.expander("The calculation, step by step", icon=":material/calculate:"):
+        st.html(list_html(risk.steps, "ll-steps", "ol"))
+    with st.expander("What went in, and where it comes from", icon=":material/input:"):
+        st.html(table_html((("Input", ""), ("Value", ""), ("Source", "")), _input_rows(risk)))
+    st.caption(risk.reference)
+
+
+def _show_ends(risk: RiskResult) -> None:
+    details = risk.details
+    counted = details.get("counted_ends", ())
+    columns = st.columns(2)
+    for column, (end, title) in zip(
+        columns, (("origin", "Start of the lift"), ("destination", "End of the lift")), strict=True
+    ):
+        if end in details:
+            html = _end_html(title, end, details, is_counted=end in counted)
+            column.html(html)
+
+
+def _end_html(title: str, end: str, details: Mapping[str, Any], *, is_counted: bool) -> str:
+    values = details[end]
+    governs = is_counted and details.get("governing_end") == end
+    note = "decides the result" if governs else "" if is_counted else "for the record only"
+    costs = min(labels.FACTORS, key=lambda name: values[name])
+    rows = "".join(
+        _factor_html(name, values, details, is_costliest=name == costs and values[name] < 1)
+        for name in labels.FACTORS
+    )
+    limit = f"{format_number(values['RWL_kg'], 1)} kg"
+    index = values.get("LI")
+    shown = "" if index is None or math.isnan(index) else f"Index {labels.format_index(index)}"
+    return (
+        f'<div class="ll-end{"" if is_counted else " ll-unused"}"><header><h4>{title}</h4>'
+        f'<span class="ll-quiet ll-small">{note}</span></header>{rows}'
+        f'<div class="ll-sum"><span>Recommended limit<br><b>{limit}</b></span>'
+        f"<b>{shown}</b></div></div>"
+    )
+
+
+def _factor_html(
+    name: str, values: Mapping[str, Any], details: Mapping[str, Any], *, is_costliest: bool
+) -> str:
+    title, tip = labels.FACTORS[name]
+    size = labels.format_factor_input(name, values, details)
+    share = max(0.0, min(1.0, values[name]))
+    tag = '<span class="ll-tag">costs most</span>' if is_costliest else ""
+    return (
+        f'<div class="ll-factor{" ll-costs" if is_costliest else ""}" title="{escape(tip)}">'
+        f'<div>{title}<br><span class="ll-in">{escape(size)}</span></div>'
+        f'<div><div class="ll-bar"><i style="width:{100 * share:.1f}%"></i></div>{tag}</div>'
+        f'<div class="ll-m">× {format_number(values[name], 2)}</div></div>'
+    )
+
+
+def _input_rows(risk: RiskResult) -> Iterable[tuple[str, str, str]]:
+    for item in risk.inputs:
+        error = "" if math.isnan(item.sigma) else f" ± {item.sigma:.2g}"
+        value = labels.format_value(item.value)
+        unit = {"deg": "°", "1/min": "per minute"}.get(item.unit, item.unit)
+        yield item.name, f"{value}{error} {unit}".strip(), labels.PROVENANCE[item.provenance]
+
+
+def show_confidence(result: StoredResult) -> None:
+    """Show how much was seen, and what is not known of the scene."""
+    st.html(_coverage_html(result.document["coverage"]))
+    scene, subject = result.scene, result.document["subject"]
+    stature = "entered" if subject["provenance"]["stature_m"] == "user" else "assumed"
+    facts = (
+        (
+            "Body height",
+            f"{subject['stature_m']:.2f} ± {subject['stature_sigma_m']:.2f} m",
+            stature,
+        ),
+        ("Scale", _error(100 * scene.scale_sigma, "%"), "sets every length"),
+        ("Vertical", _error(scene.tilt_sigma_deg, "°"), "tilt of the camera"),
+        ("Straight ahead", _error(scene.heading_sigma_deg, "°"), "direction the person faces"),
+        ("Floor", _error(100 * scene.floor_sigma_m, "cm"), "height of the floor"),
+        ("Camera angle", f"{scene.view_azimuth_deg:.0f}°", "0° from the front, 90° from the side"),
+    )
+    head = (("What", ""), ("Value ± standard error", ""), ("Meaning", ""))
+    st.html(table_html(head, facts))
+    if result.warnings:
+        st.markdown("**Warnings of the measurement**")
+        st.html(list_html(map(labels.sentence, result.warnings)))
+
+
+def _error(value: float, unit: str) -> str:
+    return "unknown" if math.isnan(value) else f"± {value:.1f} {unit}".replace(" °", "°")
+
+
+def _coverage_html(coverage: Mapping[str, float | None]) -> str:
+    parts = [(key, coverage.get(key) or 0.0) for key in labels.COVERAGE]
+    bar = "".join(
+        f'<i class="ll-c-{key}" style="flex:{share:.4f}"></i>' for key, share in parts if share > 0
+    )
+    legend = "".join(
+        f'<span title="{escape(labels.COVERAGE[key][1])}"><i class="ll-c-{key}"></i>'
+        f"{share:.0%} {labels.COVERAGE[key][0]}</span>"
+        for key, share in parts
+    )
+    return (
+        '<div><div class="ll-small ll-quiet" style="margin-bottom:.35rem">Joint positions</div>'
+        f'<div class="ll-cover" aria-hidden="true">{bar}</div>'
+        f'<div class="ll-legend">{legend}</div></div>'
+    )
+
+
+def show_provenance(result: StoredResult) -> None:
+    """Show how the result was made."""
+    document = result.document
+    view = document["views"][0]
+    width, height = view["size_px"]
+    rate = f"{view['fps']:.1f} pictures a second" if view["fps"] else ""
+    rows = (
+        ("Video", f"{view['file_name']}, {width} × {height}, {rate}"),
+        ("Fingerprint (SHA-256)", f"{view['sha256'][:16]}…"),
+        ("Estimator", document["backend"]),
+        ("Joint angles by", document["solver"]),
+        ("Correction", document["config"].get("correction", {}).get("preset", "")),
+        ("LiftLens", document["liftlens_version"]),
+        ("Computing time", labels.format_span(sum(t or 0 for t in document["timings_s"].values()))),
+    )
+    st.html(table_html((("How it was made", ""), ("", "")), rows, css="ll-plain"))
+
+
+def show_downloads(result: StoredResult) -> None:
+    """Offer the result folder and its main files."""
+    folder = result.folder
+    with st.container(horizontal=True):
+        st.download_button(
+            "Whole result (zip)",
+            lambda: cache.zip_result(folder),
+            key="download-zip",
+            file_name=f"{folder.name}.zip",
+            mime="application/zip",
+            type="primary",
+            icon=":material/folder_zip:",
+            on_click="ignore",
+            help="Every file of the result: numbers, joint positions, angles, annotated video.",
+        )
+        for name, mime in (("trial.json", "application/json"), ("angles.csv", "text/csv")):
+            if (folder / name).is_file():
+                st.download_button(
+                    name,
+                    (folder / name).read_bytes(),
+                    file_name=name,
+                    mime=mime,
+                    icon=":material/download:",
+                    on_click="ignore",
+                )

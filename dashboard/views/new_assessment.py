@@ -1,0 +1,48 @@
+"""A new assessment: video, person and work; then its progress."""
+
+import streamlit as st
+
+from dashboard import cache, form, pages, state
+from dashboard.progress import follow
+
+queue = cache.job_queue()
+if job_id := state.job_id():
+    status = queue.read(job_id)
+    if status.trial_id:
+        st.switch_page(pages.TRIAL, query_params=state.trial_parameters(status.trial_id))
+    follow(queue, status)
+    st.stop()
+
+with st.container(width=form.WIDTH_PX):
+    st.title("New assessment", anchor=False)
+    with st.container(border=True):
+        st.subheader("1. The video", anchor=False)
+        video = form.ask_video()
+    with st.container(border=True):
+        st.subheader("2. The person", anchor=False)
+        form.ask_person()
+    with st.container(border=True):
+        st.subheader("3. The work", anchor=False)
+        st.caption("What a camera can't see. What you leave open is assumed, and said so.")
+        form.ask_task()
+
+    is_ready = video is not None and form.is_complete()
+    with st.container(horizontal=True, vertical_alignment="center"):
+        start = st.button(
+            "Start",
+            key="start",
+            type="primary",
+            icon=":material/play_arrow:",
+            disabled=not is_ready,
+        )
+        if not is_ready:
+            st.caption("Add a video first." if video is None else "Correct the marked fields.")
+    st.caption(
+        "Everything stays on this computer. After the assessment the uploaded video is deleted; "
+        "what is kept is the annotated copy with blurred heads."
+    )
+if start and video is not None:
+    job_id = queue.submit(form.read_request(video))
+    form.clear()
+    state.set_job_id(job_id)
+    st.rerun()

@@ -1,0 +1,40 @@
+"""One trial: the flags first, then what was measured, how it was judged, and how sure we are."""
+
+import streamlit as st
+
+from dashboard import cache, pages, state, trial_parts
+
+if st.button("All trials", icon=":material/arrow_back:", type="tertiary"):
+    st.switch_page(pages.TRIALS)
+trial_id = state.trial_id()
+if not trial_id:
+    st.info("No trial is chosen. Open one from the list.", icon=":material/list:")
+    st.stop()
+
+result = cache.result(trial_id)
+trial_parts.show_title(result)
+trial_parts.show_flags(result)
+
+video, posture = st.columns([5, 6], gap="large")
+with video:
+    st.subheader("What was filmed", anchor=False)
+    trial_parts.show_video(result)
+with posture:
+    st.subheader("How the body moved", anchor=False)
+    trial_parts.show_angles(result)
+
+st.subheader("The lifts", anchor=False)
+trial_parts.show_lifts(result)
+
+st.subheader("How the lift was judged", anchor=False)
+trial_parts.show_equation(result)
+
+st.subheader("How sure we are", anchor=False)
+confidence, provenance = st.columns([6, 5], gap="large")
+with confidence:
+    trial_parts.show_confidence(result)
+with provenance:
+    trial_parts.show_provenance(result)
+
+st.subheader("Take it with you", anchor=False)
+trial_parts.show_downloads(result)
