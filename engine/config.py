@@ -38,12 +38,13 @@ _WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or 
 
 
 def _require_between(low: float, high: float, **values: float) -> None:
-    """Refuse settings outside their range; NaN is outside every range."""
+    """Refuse settings outside their range; NaN and infinity are outside every range."""
     for name, value in values.items():
-        if not low <= value <= high:
-            upper = f" and {high:g}" if math.isfinite(high) else ""
-            words = f"lie between {low:g}{upper}" if upper else f"be at least {low:g}"
-            raise ConfigError(f"The setting {name} must {words}, got {value:g}.")
+        if not (math.isfinite(value) and low <= value <= high):
+            upper = f"lie between {low:g} and {high:g}" if math.isfinite(high) else ""
+            raise ConfigError(
+                f"The setting {name} must {upper or f'be at least {low:g}'}, got {value:g}."
+            )
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class VideoConfig:
 
     def __post_init__(self) -> None:
         _require_between(0.0, math.inf, start_s=self.start_s)
-        if self.stop_s is not None and not self.stop_s > self.start_s:
+        if self.stop_s is not None and not self.start_s < self.stop_s < math.inf:
             raise ConfigError(
                 f"The part of the video must stop after it starts ({self.start_s:g} s), "
                 f"got stop_s = {self.stop_s:g}."

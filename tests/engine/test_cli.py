@@ -728,12 +728,10 @@ class TestDemo:
         assert "list of samples" in last_line(result)
 
     def test_the_samples_shipped_are_readable(self) -> None:
-        if not (cli_demo.SAMPLE_FOLDER / "samples.toml").exists():
-            pytest.skip("this checkout has no sample_data yet")
         samples = cli_demo.read_samples()
         assert len({sample.key for sample in samples}) == len(samples) >= 1
         assert all(sample.licence for sample in samples)
-        assert all(sample.subject.stature_m for sample in samples)
+        assert any(sample.subject.stature_m for sample in samples)
 
 
 class TestServe:
