@@ -13,7 +13,6 @@ from pathlib import Path
 
 import engine
 from engine.errors import BackendUnavailable, ConfigError
-from engine.storage.library import HOME_VARIABLE
 
 __all__ = ["APP_PATH", "build_command", "has_display", "serve_dashboard"]
 
@@ -38,10 +37,8 @@ def serve_dashboard(*, host: str, port: int, say: Callable[[str], object]) -> in
         raise BackendUnavailable("The dashboard needs streamlit; run: pip install streamlit.")
     _check_address(host, port)
     say(f"Dashboard: http://{host}:{port} (Ctrl-C ends it)")
-    # The working folder is where Streamlit looks for the theme.
     process = subprocess.Popen(
         build_command(host=host, port=port, is_headless=not has_display(os.environ)),
-        cwd=APP_PATH.parents[1],
         env=_build_environment(os.environ),
     )
     return _wait(process)
@@ -69,13 +66,10 @@ def has_display(environment: Mapping[str, str]) -> bool:
 
 
 def _build_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    changed = dict(environment)
-    if home := environment.get(HOME_VARIABLE):
-        # The dashboard starts in another folder, where a relative path would mislead.
-        changed[HOME_VARIABLE] = str(Path(home).expanduser().resolve())
+    """Let the dashboard and its workers import what runs here, installed or not."""
     root = str(APP_PATH.parents[1])
-    changed["PYTHONPATH"] = os.pathsep.join(filter(None, (root, environment.get("PYTHONPATH"))))
-    return changed
+    paths = os.pathsep.join(filter(None, (root, environment.get("PYTHONPATH"))))
+    return {**environment, "PYTHONPATH": paths}
 
 
 def _check_address(host: str, port: int) -> None:

@@ -789,7 +789,7 @@ class TestServe:
         return path
 
     @pytest.mark.parametrize(("code", "expected"), [(0, 0), (3, 3)])
-    def test_it_passes_on_the_exit_code_and_the_library(
+    def test_it_passes_on_the_exit_code_and_where_the_engine_is(
         self,
         app_path: Path,
         tmp_path: Path,
@@ -799,7 +799,7 @@ class TestServe:
     ) -> None:
         script = (
             "import os, pathlib, sys; "
-            "pathlib.Path(sys.argv[1]).write_text(os.environ['LIFTLENS_HOME']); "
+            "pathlib.Path(sys.argv[1]).write_text(os.environ['PYTHONPATH']); "
             f"sys.exit({code})"
         )
         note = tmp_path / "note"
@@ -808,12 +808,11 @@ class TestServe:
             "build_command",
             lambda **_: [sys.executable, "-c", script, str(note)],
         )
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setenv("LIFTLENS_HOME", "home")
+        monkeypatch.setenv("PYTHONPATH", "elsewhere")
         result = run("serve", "--host", "127.0.0.1", "--port", free_port())
         assert result.exit_code == expected
         assert "http://127.0.0.1:" in result.stdout
-        assert note.read_text() == str(tmp_path / "home")
+        assert note.read_text().split(os.pathsep) == [str(tmp_path), "elsewhere"]
 
     def test_ctrl_c_ends_it_as_done(self, app_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         class Process:
