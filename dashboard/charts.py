@@ -99,6 +99,7 @@ def _add_curve(
             marker={"symbol": "circle-open", "size": 6, "color": color, "line": {"width": 1.4}},
             name="Filled in",
             legendgroup="filled",
+            legendrank=2000,
             showlegend=not any(trace.legendgroup == "filled" for trace in figure.data),
             hoverinfo="skip",
         )

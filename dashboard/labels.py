@@ -252,3 +252,19 @@ def format_factor_input(name: str, values: Mapping[str, Any], details: Mapping[s
         "FM": lambda: f"{details['frequency_per_min']:g}/min, {details['duration_class']}",
         "CM": lambda: str(details["coupling"]),
     }[name]()
+
+
+def name_view(azimuth_deg: float) -> str:
+    """Return from where the person was filmed; 0° is the front, 90° the right, 180° the back."""
+    if math.isnan(azimuth_deg):
+        return "unknown"
+    turned = (azimuth_deg + 180) % 360 - 180
+    side = "right" if turned > 0 else "left"
+    words = (
+        "the front",
+        f"half the front, half the {side}",
+        f"the {side}",
+        f"half the back, half the {side}",
+        "the back",
+    )
+    return f"{words[round(abs(turned) / 45)]} ({abs(turned):.0f}° from straight ahead)"

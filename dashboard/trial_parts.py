@@ -272,20 +272,17 @@ def show_confidence(result: StoredResult) -> None:
     st.html(_coverage_html(result.document["coverage"]))
     scene, subject = result.scene, result.document["subject"]
     stature = "entered" if subject["provenance"]["stature_m"] == "user" else "assumed"
+    height = f"{subject['stature_m']:.2f} ± {subject['stature_sigma_m']:.2f} m"
     facts = (
-        (
-            "Body height",
-            f"{subject['stature_m']:.2f} ± {subject['stature_sigma_m']:.2f} m",
-            stature,
-        ),
-        ("Scale", _error(100 * scene.scale_sigma, "%"), "sets every length"),
-        ("Vertical", _error(scene.tilt_sigma_deg, "°"), "tilt of the camera"),
-        ("Straight ahead", _error(scene.heading_sigma_deg, "°"), "direction the person faces"),
-        ("Floor", _error(100 * scene.floor_sigma_m, "cm"), "height of the floor"),
-        ("Camera angle", f"{scene.view_azimuth_deg:.0f}°", "0° from the front, 90° from the side"),
+        ("Body height", f"{height}, {stature}"),
+        ("Scale of all lengths", _error(100 * scene.scale_sigma, "%")),
+        ("Vertical (tilt of the camera)", _error(scene.tilt_sigma_deg, "°")),
+        ("Direction the person faces", _error(scene.heading_sigma_deg, "°")),
+        ("Height of the floor", _error(100 * scene.floor_sigma_m, "cm")),
+        ("Seen from", labels.name_view(scene.view_azimuth_deg)),
     )
-    head = (("What", ""), ("Value ± standard error", ""), ("Meaning", ""))
-    st.html(table_html(head, facts))
+    head = (("What the measurement rests on", ""), ("± is one standard error", ""))
+    st.html(table_html(head, facts, css="ll-plain"))
     if result.warnings:
         st.markdown("**Warnings of the measurement**")
         st.html(list_html(map(labels.sentence, result.warnings)))
