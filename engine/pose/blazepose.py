@@ -439,7 +439,7 @@ class PoseFollower:
             Shape (H, W, 3), RGB.
         search
             Upright square in which a person is sought if none is followed; None for the whole
-            picture.
+            picture. With a square, only a person whose hips lie in its middle half is taken.
 
         Returns
         -------
@@ -454,10 +454,11 @@ class PoseFollower:
 
     def _start(self, image: Image, search: Region | None) -> Landmarks | None:
         found = self._networks.detect(image, search, min_score=self._min_confidence)
-        if not found:
+        person = _choose_detection(found, search)
+        if person is None:
             return None
         first = self._accept(
-            self._networks.find_landmarks(image, region_from_points(*found[0].points[:2]))
+            self._networks.find_landmarks(image, region_from_points(*person.points[:2]))
         )
         if first is None or self.region is None:
             return None
@@ -468,6 +469,19 @@ class PoseFollower:
         is_person = landmarks.flag >= self._min_confidence and landmarks.next_region.is_usable
         self.region = hold_region(self.region, landmarks.next_region) if is_person else None
         return landmarks if is_person else None
+
+
+def _choose_detection(found: list[PoseDetection], search: Region | None) -> PoseDetection | None:
+    """Return the best detection; in a square, the one whose hips are nearest to its centre."""
+    if search is None:
+        return found[0] if found else None
+
+    def distance(detection: PoseDetection) -> float:
+        x, y = detection.points[0]
+        return float(max(abs(x - search.x), abs(y - search.y)))
+
+    central = [d for d in found if distance(d) <= search.size / 4]
+    return min(central, key=distance, default=None)
 
 
 def open_session(path: Path, threads: int) -> Any:

@@ -1,0 +1,284 @@
+"""MediaPipe's BlazePose, run by ONNX Runtime: 33 landmarks in px and in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from engine.config import PoseConfig
+from engine.datatypes import (
+    Array,
+    PersonBox,
+    PoseTrack,
+    ProgressCallback,
+    SubjectState,
+    TrackedFrame,
+    TrackedStream,
+    ViewInfo,
+    ViewPose,
+)
+from engine.errors import NoPersonFound
+from engine.pose.association import agrees_with_box, bound_landmarks, interpolate_box
+from engine.pose.base import BackendInfo
+from engine.pose.blazepose import (
+    N_LANDMARKS,
+    BlazePoseNetworks,
+    Landmarks,
+    PoseFollower,
+    Region,
+)
+from engine.skeletons import MEDIAPIPE_33
+
+BACKEND_INFO = BackendInfo(
+    name="mediapipe",
+    title="MediaPipe Pose (BlazePose)",
+    skeleton=MEDIAPIPE_33.name,
+    licence="Apache-2.0",
+    description=(
+        "33 landmarks in the picture and in metres around the hips. The networks are Google's, "
+        "run on the CPU by ONNX Runtime; variants heavy (default) and full (faster, less exact)."
+    ),
+    requires=("onnxruntime", "cv2"),
+)
+
+SEARCH_MARGIN: Final = 1.25
+"""How much larger than the person's box the square is in which BlazePose starts."""
+BOX_MARGIN: Final = 0.06
+"""What the landmarks leave out of a body (hair, hands, soles), as a share of its larger side."""
+LEFT_HIP, RIGHT_HIP = MEDIAPIPE_33.index("left_hip"), MEDIAPIPE_33.index("right_hip")
+
+
+class Backend:
+    """BlazePose on one followed person.
+
+    Parameters
+    ----------
+    config
+        `variant`, `threads` and `min_person_confidence` are used.
+    """
+
+    info = BACKEND_INFO
+
+    def __init__(self, config: PoseConfig) -> None:
+        self._variant = config.variant
+        self._min_confidence = config.min_person_confidence
+        self._networks = BlazePoseNetworks(config.variant, threads=config.threads)
+
+    def estimate(
+        self, frames: TrackedStream, view: ViewInfo, progress: ProgressCallback
+    ) -> ViewPose:
+        """Estimate the landmarks of the followed person.
+
+        The landmarks are those the network saw, neither smoothed nor filled. A keypoint's
+        confidence is the smaller of its visibility and its presence. Where the landmarks turn
+        out to be somebody else's they are NaN. The body track has its origin in the middle
+        between the hips.
+
+        Parameters
+        ----------
+        frames
+            Pictures with the person's box.
+        view
+            What is known of the video.
+        progress
+            Called as ``progress("pose", done, view.n_frames)`` for every frame.
+
+        Returns
+        -------
+        ViewPose
+            `model_time_s` is the time inside the two BlazePose networks; the person
+            detector counts its own (`PersonDetector.model_time_s`).
+
+        Raises
+        ------
+        NoPersonFound
+            If no frame shows a person whose landmarks can be found.
+        """
+        model_time_s = self._networks.model_time_s
+        follower = _AssociatedFollower(
+            PoseFollower(self._networks, min_confidence=self._min_confidence)
+        )
+        record = _Record()
+        for tracked in frames:
+            suspects = follower.see(tracked, record)
+            record.reject(suspects)
+            progress("pose", len(record.time_s), view.n_frames)
+        if not record.has_landmarks:
+            raise NoPersonFound(
+                "Expected a person whose posture can be seen, but found none in "
+                f"{len(record.time_s)} pictures; film the whole body from the side, in good light."
+            )
+        provenance = {"estimator": self.info.name, "variant": self._variant}
+        return record.as_view_pose(view, provenance, self._networks.model_time_s - model_time_s)
+
+
+@dataclass(eq=False)
+class _Record:
+    """What is kept of every frame."""
+
+    time_s: list[float] = field(default_factory=list)
+    image: list[Array] = field(default_factory=list)
+    body: list[Array] = field(default_factory=list)
+    confidence: list[Array] = field(default_factory=list)
+    box: list[PersonBox | None] = field(default_factory=list)
+    others: list[tuple[PersonBox, ...]] = field(default_factory=list)
+
+    def add(self, tracked: TrackedFrame, landmarks: Landmarks | None) -> None:
+        self.time_s.append(tracked.frame.time_s)
+        self.box.append(tracked.box)
+        self.others.append(tracked.others)
+        if landmarks is None:
+            self.image.append(np.full((N_LANDMARKS, 2), np.nan))
+            self.body.append(np.full((N_LANDMARKS, 3), np.nan))
+            self.confidence.append(np.full(N_LANDMARKS, np.nan))
+            return
+        self.image.append(landmarks.image)
+        self.body.append(landmarks.world - landmarks.world[[LEFT_HIP, RIGHT_HIP]].mean(axis=0))
+        self.confidence.append(landmark_confidence(landmarks))
+
+    def reject(self, rows: Sequence[int]) -> None:
+        for row in rows:
+            self.image[row] = np.full((N_LANDMARKS, 2), np.nan)
+            self.body[row] = np.full((N_LANDMARKS, 3), np.nan)
+
+    @property
+    def has_landmarks(self) -> bool:
+        return any(np.isfinite(points).any() for points in self.image)
+
+    def as_view_pose(
+        self, view: ViewInfo, provenance: dict[str, str], model_time_s: float
+    ) -> ViewPose:
+        """Return the tracks."""
+        time_s, confidence = np.array(self.time_s), np.array(self.confidence)
+        image = PoseTrack(
+            time_s=time_s,
+            position=np.array(self.image),
+            unit="px",
+            frame_of_reference="image",
+            skeleton=MEDIAPIPE_33.name,
+            confidence=confidence,
+            provenance=provenance,
+        )
+        body = PoseTrack(
+            time_s=time_s,
+            position=np.array(self.body),
+            unit="m",
+            frame_of_reference="body",
+            skeleton=MEDIAPIPE_33.name,
+            confidence=confidence,
+            provenance=provenance,
+        )
+        rows = zip(self.box, self.image, self.confidence, strict=True)
+        return ViewPose(
+            image=image,
+            body=body,
+            box=np.array([_shown_box(*row) for row in rows]),
+            state=tuple(SubjectState.LOST if b is None else b.state for b in self.box),
+            info=view,
+            others=tuple(self.others),
+            model_time_s=model_time_s,
+        )
+
+
+class _AssociatedFollower:
+    """A pose follower that stays on the tracked person."""
+
+    def __init__(self, follower: PoseFollower) -> None:
+        self._follower = follower
+        self._last_good: tuple[int, PersonBox] | None = None
+
+    def see(self, tracked: TrackedFrame, record: _Record) -> list[int]:
+        """Estimate one frame and record it.
+
+        Returns
+        -------
+        list of int
+            Rows of the record that turned out to show somebody else.
+        """
+        row = len(record.time_s)
+        box = tracked.box
+        if box is None:
+            self._follower.restart()
+            self._last_good = None
+            record.add(tracked, None)
+            return []
+        is_observed = tracked.is_anchor and box.state is not SubjectState.HELD
+        landmarks = self._follower.update(tracked.frame.image, search_region(box))
+        had_slipped = landmarks is not None and not _fits(landmarks, tracked, is_observed)
+        if had_slipped:
+            landmarks = self._start_again(tracked, box, is_observed)
+        record.add(tracked, landmarks)
+        suspects = self._find_suspects(record, row, box) if had_slipped and is_observed else []
+        if is_observed:
+            self._last_good = None if landmarks is None else (row, box)
+        return suspects
+
+    def _start_again(
+        self, tracked: TrackedFrame, box: PersonBox, is_observed: bool
+    ) -> Landmarks | None:
+        self._follower.restart()
+        landmarks = self._follower.update(tracked.frame.image, search_region(box))
+        if landmarks is None or _fits(landmarks, tracked, is_observed):
+            return landmarks
+        self._follower.restart()
+        return None
+
+    def _find_suspects(self, record: _Record, row: int, box: PersonBox) -> list[int]:
+        """Return the rows since the last agreement that don't fit where the person went."""
+        if self._last_good is None:
+            return []
+        first, before = self._last_good
+        return [
+            r
+            for r in range(first + 1, row)
+            if not agrees_with_box(
+                record.image[r],
+                record.confidence[r],
+                interpolate_box(before, box, (r - first) / (row - first)),
+            )
+        ]
+
+
+def search_region(box: PersonBox, *, margin: float = SEARCH_MARGIN) -> Region:
+    """Return the upright square around a person's box in which BlazePose starts.
+
+    Box edges are px from the picture's border; the region counts from pixel centres.
+    """
+    return Region(
+        (box.left + box.right - 1) / 2,
+        (box.top + box.bottom - 1) / 2,
+        max(box.size_px) * margin,
+    )
+
+
+def landmark_confidence(landmarks: Landmarks) -> Array:
+    """Return the smaller of visibility and presence, shape (33,).
+
+    Both must hold for a measured position; their product would count what they share twice.
+    """
+    return np.minimum(landmarks.visibility, landmarks.presence)
+
+
+def _fits(landmarks: Landmarks, tracked: TrackedFrame, is_observed: bool) -> bool:
+    assert tracked.box is not None
+    return agrees_with_box(
+        landmarks.image,
+        landmark_confidence(landmarks),
+        tracked.box,
+        tracked.others,
+        is_observed=is_observed,
+    )
+
+
+def _shown_box(box: PersonBox | None, points: Array, confidence: Array) -> Array:
+    """Return the box of a frame: around the landmarks, which are newer than a predicted box."""
+    if box is None:
+        return np.full(4, np.nan)
+    hull = bound_landmarks(points, confidence)
+    if hull is None:
+        return np.array([box.left, box.top, box.right, box.bottom])
+    margin = BOX_MARGIN * float(max(hull[2:] - hull[:2]))
+    return hull + margin * np.array([-1.0, -1.0, 1.0, 1.0])

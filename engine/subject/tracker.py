@@ -1,0 +1,531 @@
+"""Follows one person's box through a video: the rules of Choi et al. (2024), Eqs 1-5, with guards.
+
+The first frame chooses the largest confident person (Eqs 1-3), later frames the box with
+the best sum of confidence and overlap (Eqs 4, 5). The paper looks at every frame and has one
+person in the picture; the guards are for what it leaves open: frames without a detection,
+passers-by, crossings, and frames that are not looked at to save time.
+
+The rules are functions of boxes; no picture and no network is needed to test them.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.datatypes import Frame, PersonBox, SubjectState, TrackedFrame
+from engine.errors import NoPersonFound
+
+__all__ = [
+    "PersonTracker",
+    "compute_iou",
+    "follow_person",
+    "select_first",
+    "select_next",
+]
+
+logger = logging.getLogger(__name__)
+
+Detector = Callable[[NDArray[np.uint8]], Sequence[PersonBox]]
+
+GATE_IOU: Final = 0.1
+GATE_AREA_RATIO: Final = 2.0
+SURE_CONFIDENCE: Final = 0.5
+SURE_IOU: Final = 0.5
+OTHER_THRESHOLD: Final = 0.4
+"""Least confidence of a new bystander; weaker boxes are mostly furniture."""
+PART_SHARE: Final = 0.7
+"""A box that lies this much inside the followed one is taken for a part of it."""
+CLAIM_IOU: Final = 0.3
+NEAR_MARGIN: Final = 1.5
+DAMPING: Final = 0.9
+"""Of the velocity per frame that is predicted: nobody keeps going for long."""
+VELOCITY_GAIN: Final = 0.5
+LOST_GROWTH: Final = 0.02
+"""Growth per frame of the neighbourhood in which a lost person is sought, in box diagonals."""
+SEARCH_EVERY: Final = 3
+"""Frames between looks while nobody is followed."""
+NEAR_EVERY: Final = 1
+UNSURE_EVERY: Final = 2
+
+
+def compute_iou(a: PersonBox, b: PersonBox) -> float:
+    """Return the intersection over union of two boxes (Eq 4), 0 to 1."""
+    inter = _intersection(a, b)
+    union = _area(a) + _area(b) - inter
+    return inter / union if union > 0 else 0.0
+
+
+def select_first(
+    persons: Sequence[PersonBox], *, threshold: float, step: float, floor: float
+) -> PersonBox | None:
+    """Choose the largest person above a threshold that is lowered until there is one (Eqs 1-3).
+
+    Parameters
+    ----------
+    persons
+        Boxes of persons (Eq 2 is the detector's).
+    threshold, step, floor
+        Where the confidence threshold starts, by how much it is lowered, and where it ends.
+
+    Returns
+    -------
+    PersonBox or None
+        None if nobody reaches the floor.
+    """
+    n_steps = max(0, math.ceil((threshold - floor) / step - 1e-9))
+    levels = [max(threshold - i * step, floor) for i in range(n_steps + 1)]
+    for level in levels:
+        # Steps of 0.1 don't add up exactly; a confidence on the threshold counts.
+        confident = [p for p in persons if p.confidence >= level - 1e-9]
+        if confident:
+            return max(confident, key=_area)
+    return None
+
+
+def select_next(
+    persons: Sequence[PersonBox],
+    previous: PersonBox,
+    *,
+    threshold: float,
+    iou_weight: float = 1.0,
+    score: Literal["sum", "literal"] = "sum",
+) -> PersonBox | None:
+    """Choose the person that continues a track (Eqs 4, 5).
+
+    Parameters
+    ----------
+    persons
+        Boxes of persons.
+    previous
+        Where the person was, or is expected.
+    threshold
+        Boxes with less confidence are dropped.
+    iou_weight
+        Weight of the overlap against the confidence.
+    score
+        `sum` takes the argument of the maximum of confidence + weight x IoU, as the paper's prose
+        says; `literal` its Eq 5 as printed, which adds the same largest IoU to every box, so that
+        the most confident box wins wherever it is.
+
+    Returns
+    -------
+    PersonBox or None
+        The chosen box with its `iou`; None if there is no candidate.
+    """
+    rated = [replace(p, iou=compute_iou(previous, p)) for p in persons if p.confidence >= threshold]
+    if not rated:
+        return None
+    if score == "literal":
+        best_iou = max(p.iou for p in rated)
+        return max(rated, key=lambda p: p.confidence + iou_weight * best_iou)
+    return max(rated, key=lambda p: p.confidence + iou_weight * p.iou)
+
+
+@dataclass(eq=False)
+class _Motion:
+    """A box that moves with a damped constant velocity between looks."""
+
+    box: PersonBox
+    velocity: tuple[float, float] = (0.0, 0.0)
+    age: int = 0
+    """Frames since the last observation."""
+    may_be_subject: bool = False
+    """Whether this bystander appeared while the followed person was lost."""
+    observed: PersonBox = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.observed = self.box
+
+    def advance(self) -> None:
+        """Go one frame on without an observation."""
+        vx, vy = self.velocity
+        self.box = replace(
+            self.box,
+            left=self.box.left + vx,
+            right=self.box.right + vx,
+            top=self.box.top + vy,
+            bottom=self.box.bottom + vy,
+        )
+        self.velocity = (vx * DAMPING, vy * DAMPING)
+        self.age += 1
+
+    def observe(self, box: PersonBox) -> None:
+        """Take an observation of the current frame (after `advance`)."""
+        frames = max(self.age, 1)
+        (x0, y0), (x1, y1) = _centre(self.observed), _centre(box)
+        gain = VELOCITY_GAIN
+        self.velocity = (
+            (1 - gain) * self.velocity[0] + gain * (x1 - x0) / frames,
+            (1 - gain) * self.velocity[1] + gain * (y1 - y0) / frames,
+        )
+        self.box = self.observed = box
+        self.age = 0
+
+
+class PersonTracker:
+    """The state of following one person.
+
+    Call `step` for every frame in order, with the persons seen in it, or with None for a frame that
+    was not looked at.
+
+    Parameters
+    ----------
+    first_threshold, threshold_step, threshold_floor
+        See `select_first`.
+    track_threshold, iou_weight, score
+        See `select_next`.
+    hold_frames
+        Frames for which an unseen person's box is kept moving before the person counts as lost.
+    detect_every
+        Most frames between two looks.
+    box_margin
+        Size of the neighbourhood in which a lost person is sought again, in boxes.
+    box
+        Left, top, right, bottom (px) of the person in the first frame, if a user named one.
+    """
+
+    def __init__(
+        self,
+        *,
+        first_threshold: float = 0.7,
+        threshold_step: float = 0.1,
+        threshold_floor: float = 0.2,
+        track_threshold: float = 0.3,
+        iou_weight: float = 1.0,
+        score: Literal["sum", "literal"] = "sum",
+        hold_frames: int = 15,
+        detect_every: int = 15,
+        box_margin: float = 1.25,
+        box: tuple[float, float, float, float] | None = None,
+    ) -> None:
+        self._first = {
+            "threshold": first_threshold,
+            "step": threshold_step,
+            "floor": threshold_floor,
+        }
+        self._track_threshold = track_threshold
+        self._iou_weight = iou_weight
+        self._score: Literal["sum", "literal"] = score
+        self._hold_frames = hold_frames
+        self._detect_every = detect_every
+        self._box_margin = box_margin
+        self._user_box = None if box is None else PersonBox(*box)
+        self._motion: _Motion | None = None
+        self._others: list[_Motion] = []
+        self._state = SubjectState.LOST
+        self._is_tentative = False
+        self._interval = 1
+        self._until_look = 0
+        self._frames_held = 0
+
+    @property
+    def was_found(self) -> bool:
+        """Whether the person was ever seen."""
+        return self._motion is not None
+
+    @property
+    def wants_look(self) -> bool:
+        """Whether the next frame should be looked at by the detector."""
+        return self._until_look <= 0
+
+    @property
+    def others(self) -> tuple[PersonBox, ...]:
+        """Boxes of the other persons in the current frame; held ones are predictions."""
+        return tuple(
+            m.box if m.age == 0 else replace(m.box, state=SubjectState.HELD) for m in self._others
+        )
+
+    def step(self, persons: Sequence[PersonBox] | None) -> PersonBox | None:
+        """Go one frame on.
+
+        Parameters
+        ----------
+        persons
+            Everybody the detector saw in this frame; None if it did not look.
+
+        Returns
+        -------
+        PersonBox or None
+            The followed person's box; None while lost.
+        """
+        for motion in (*self._others, *([self._motion] if self._motion else [])):
+            motion.advance()
+        self._until_look -= 1
+        if persons is not None:
+            self._look(persons)
+            self._plan_next_look()
+        elif self._state is SubjectState.INIT:
+            self._state = SubjectState.TRACKED
+        if self._state is SubjectState.HELD:
+            self._frames_held += 1
+        self._forget_others()
+        return self._current_box()
+
+    def _current_box(self) -> PersonBox | None:
+        if self._motion is None or self._state is SubjectState.LOST:
+            return None
+        return replace(self._motion.box, state=self._state)
+
+    def _look(self, persons: Sequence[PersonBox]) -> None:
+        persons = [p for p in persons if _area(p) > 0]
+        if self._motion is None:
+            self._start(persons)
+        elif self._state is SubjectState.LOST:
+            free = self._claim_others(persons)
+            self._restart([p for p in free if self._is_in_neighbourhood(p)])
+        else:
+            self._continue(self._claim_others(persons), persons)
+        self._welcome_others(persons)
+
+    def _start(self, persons: Sequence[PersonBox]) -> None:
+        if self._user_box is not None:
+            self._follow_named(persons, self._user_box)
+            return
+        chosen = select_first(persons, **self._first)
+        if chosen is not None:
+            self._begin(chosen)
+
+    def _follow_named(self, persons: Sequence[PersonBox], named: PersonBox) -> None:
+        """Start at the person in the user's box; trust the user where nobody was seen."""
+        overlapping = [p for p in persons if compute_iou(named, p) >= CLAIM_IOU]
+        best = max(overlapping, key=lambda p: compute_iou(named, p), default=named)
+        self._begin(best)
+        self._is_tentative = False
+
+    def _restart(self, persons: Sequence[PersonBox]) -> None:
+        chosen = select_first(persons, **self._first)
+        if chosen is not None:
+            self._begin(chosen)
+
+    def _begin(self, box: PersonBox) -> None:
+        self._motion = _Motion(box)
+        self._state = SubjectState.INIT
+        self._is_tentative = not box.confidence >= SURE_CONFIDENCE
+        self._interval = 1
+        self._others = [m for m in self._others if m.observed is not box]
+        for other in self._others:
+            other.may_be_subject = False
+
+    def _continue(self, free: Sequence[PersonBox], persons: Sequence[PersonBox]) -> None:
+        motion = self._motion
+        assert motion is not None
+        is_literal = self._score == "literal"
+        chosen = select_next(
+            persons if is_literal else [p for p in free if self._passes_gate(p)],
+            motion.box,
+            threshold=self._track_threshold,
+            iou_weight=self._iou_weight,
+            score=self._score,
+        )
+        if chosen is not None and self._passes_gate(chosen):
+            motion.observe(chosen)
+            self._state = SubjectState.TRACKED
+            self._is_tentative = self._is_tentative and chosen.confidence < SURE_CONFIDENCE
+        else:
+            self._hold()
+        if self._is_tentative:
+            self._prefer_certain(persons)
+
+    def _hold(self) -> None:
+        """Keep the unseen person's box moving, for a while."""
+        if self._state is not SubjectState.HELD:
+            self._frames_held = 0
+        self._state = SubjectState.HELD
+        if self._frames_held >= self._hold_frames:
+            self._state = SubjectState.LOST
+            logger.info("The followed person was lost.")
+
+    def _prefer_certain(self, persons: Sequence[PersonBox]) -> None:
+        """Leave a start that never became convincing for somebody who is."""
+        certain = [p for p in persons if p.confidence >= self._first["threshold"]]
+        if certain:
+            self._begin(max(certain, key=_area))
+
+    def _passes_gate(self, box: PersonBox) -> bool:
+        """Whether a box can be the followed person after the time that passed."""
+        assert self._motion is not None
+        if compute_iou(self._motion.box, box) >= GATE_IOU:
+            return True
+        ratio = _area(box) / max(_area(self._motion.observed), 1e-9)
+        is_alike = 1 / GATE_AREA_RATIO <= ratio <= GATE_AREA_RATIO
+        return is_alike and self._is_in_neighbourhood(box)
+
+    def _is_in_neighbourhood(self, box: PersonBox) -> bool:
+        assert self._motion is not None
+        last = self._motion.box
+        (x0, y0), (x1, y1) = _centre(last), _centre(box)
+        overtime = max(0, self._motion.age - self._hold_frames)
+        reach = self._box_margin / 2 + LOST_GROWTH * overtime
+        return math.hypot(x1 - x0, y1 - y0) <= reach * math.hypot(*last.size_px)
+
+    def _claim_others(self, persons: Sequence[PersonBox]) -> list[PersonBox]:
+        """Give the bystanders their boxes; return the boxes that are left.
+
+        Every box goes to the track it overlaps most, one box a track.
+        """
+        assert self._motion is not None
+        is_lost = self._state is SubjectState.LOST
+        tracks = [*self._others, *([] if is_lost else [self._motion])]
+        pairs = sorted(
+            (
+                (compute_iou(track.box, p), t, i)
+                for t, track in enumerate(tracks)
+                for i, p in enumerate(persons)
+            ),
+            reverse=True,
+        )
+        owner: dict[int, _Motion] = {}
+        for iou, t, i in pairs:
+            if iou >= CLAIM_IOU and i not in owner and tracks[t] not in owner.values():
+                owner[i] = tracks[t]
+        for i, track in owner.items():
+            if track is not self._motion:
+                track.observe(persons[i])
+        strangers = {i for i, t in owner.items() if t is not self._motion and not t.may_be_subject}
+        return [p for i, p in enumerate(persons) if i not in strangers]
+
+    def _welcome_others(self, persons: Sequence[PersonBox]) -> None:
+        """Start tracks of bystanders that were not known."""
+        if self._motion is None:
+            return
+        is_lost = self._state is SubjectState.LOST
+        known = [m.observed for m in self._others]
+        if not is_lost:
+            known.append(self._motion.box)
+        for person in persons:
+            is_new = person.confidence >= OTHER_THRESHOLD and all(
+                _intersection(person, k) < PART_SHARE * min(_area(person), _area(k)) for k in known
+            )
+            if is_new:
+                self._others.append(_Motion(person, may_be_subject=is_lost))
+                known.append(person)
+
+    def _forget_others(self) -> None:
+        limit = self._hold_frames + self._detect_every
+        self._others = [m for m in self._others if m.age <= limit]
+
+    def _plan_next_look(self) -> None:
+        if self._motion is None or self._state is SubjectState.LOST:
+            self._interval = SEARCH_EVERY
+        elif self._is_somebody_near():
+            self._interval = NEAR_EVERY
+        elif not self._is_sure():
+            self._interval = UNSURE_EVERY
+        else:
+            self._interval *= 2
+        self._interval = min(self._interval, self._detect_every)
+        self._until_look = self._interval
+
+    def _is_sure(self) -> bool:
+        """Whether the last look left no doubt; the first look after a start counts as sure."""
+        assert self._motion is not None
+        box = self._motion.observed
+        if self._motion.age > 0:
+            return False
+        is_first = self._state is SubjectState.INIT
+        return box.confidence >= SURE_CONFIDENCE and (is_first or box.iou >= SURE_IOU)
+
+    def _is_somebody_near(self) -> bool:
+        assert self._motion is not None
+        own = _grown(self._motion.box, NEAR_MARGIN)
+        return any(_intersection(own, other.box) > 0 for other in self._others)
+
+
+def follow_person(
+    frames: Iterable[Frame],
+    detector: Detector,
+    *,
+    first_threshold: float = 0.7,
+    threshold_step: float = 0.1,
+    threshold_floor: float = 0.2,
+    track_threshold: float = 0.3,
+    iou_weight: float = 1.0,
+    score: Literal["sum", "literal"] = "sum",
+    hold_frames: int = 15,
+    detect_every: int = 15,
+    box_margin: float = 1.25,
+    box: tuple[float, float, float, float] | None = None,
+) -> Iterator[TrackedFrame]:
+    """Follow one person through a video, in a single pass.
+
+    The detector looks at every `detect_every`-th frame while there is no doubt, at every frame
+    while another person is near, and at every second or third one while the person is
+    uncertain or lost. Between looks the box is predicted.
+
+    Parameters
+    ----------
+    frames
+        Pictures in order; consumed as they are needed.
+    detector
+        Returns the persons in a picture (H, W, 3) RGB.
+    first_threshold, threshold_step, threshold_floor, track_threshold, iou_weight, score,
+    hold_frames, detect_every, box_margin, box
+        See `PersonTracker`; the names are those of `engine.config.SubjectConfig`.
+
+    Yields
+    ------
+    TrackedFrame
+        One per frame; without a box while the person is lost.
+
+    Raises
+    ------
+    NoPersonFound
+        At the end, if the person was never seen.
+
+    References
+    ----------
+    .. [1] Choi et al. (2024), monocular 3D pose with a humanoid fit, Eqs 1-5.
+    """
+    tracker = PersonTracker(
+        first_threshold=first_threshold,
+        threshold_step=threshold_step,
+        threshold_floor=threshold_floor,
+        track_threshold=track_threshold,
+        iou_weight=iou_weight,
+        score=score,
+        hold_frames=hold_frames,
+        detect_every=detect_every,
+        box_margin=box_margin,
+        box=box,
+    )
+    n_frames = 0
+    for frame in frames:
+        n_frames += 1
+        is_anchor = tracker.wants_look
+        followed = tracker.step(detector(frame.image) if is_anchor else None)
+        yield TrackedFrame(frame=frame, box=followed, is_anchor=is_anchor, others=tracker.others)
+    if not tracker.was_found:
+        raise NoPersonFound(
+            f"Expected a person in the video, but none was seen in {n_frames} pictures; film the "
+            "whole body, in good light, and let it fill at least a third of the picture's height."
+        )
+
+
+def _area(box: PersonBox) -> float:
+    width, height = box.size_px
+    return max(width, 0.0) * max(height, 0.0)
+
+
+def _centre(box: PersonBox) -> tuple[float, float]:
+    return (box.left + box.right) / 2, (box.top + box.bottom) / 2
+
+
+def _intersection(a: PersonBox, b: PersonBox) -> float:
+    width = min(a.right, b.right) - max(a.left, b.left)
+    height = min(a.bottom, b.bottom) - max(a.top, b.top)
+    return max(width, 0.0) * max(height, 0.0)
+
+
+def _grown(box: PersonBox, factor: float) -> PersonBox:
+    (x, y), (width, height) = _centre(box), box.size_px
+    half_width, half_height = width / 2 * factor, height / 2 * factor
+    return replace(
+        box, left=x - half_width, top=y - half_height, right=x + half_width, bottom=y + half_height
+    )
