@@ -79,8 +79,8 @@ class VideoWriter:
     Notes
     -----
     The first picture sets the size; an odd size is made even by repeating the last row
-    or column. There are no B-pictures and so no edit list: the file begins at 0 with the first
-    picture, and each further picture keeps its distance in time to it.
+    or column. There are no B-pictures, so the edit list shifts nothing: the file begins at 0 with
+    the first picture, and each further picture keeps its distance in time to it.
     """
 
     def __init__(self, path: Path, *, crf: int = 24, preset: str = "ultrafast") -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
@@ -161,3 +162,9 @@ def make_pose(
     )
     state = tuple(SubjectState.TRACKED if k else SubjectState.LOST for k in keep)
     return ViewPose(track, None, boxes, state, make_info(*size, n_frames), others)
+
+
+def replace_arrays(pose: ViewPose, position: np.ndarray, box: np.ndarray) -> ViewPose:
+    """Return the pose with other keypoints and boxes."""
+    track = dataclasses.replace(pose.image, position=position, status=None)
+    return dataclasses.replace(pose, image=track, box=box)
