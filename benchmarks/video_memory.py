@@ -7,7 +7,6 @@ both peaks should be the same, since only a few pictures are held at a time.
 from __future__ import annotations
 
 import argparse
-import resource
 import subprocess
 import sys
 import tempfile
@@ -15,6 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from engine.video.reader import read_frames
 from engine.video.writer import VideoWriter
@@ -34,15 +34,15 @@ def write_clip(path: Path, duration_s: int, width: int, height: int) -> None:
 
 
 def read_clip(path: Path) -> None:
-    """Read a clip and print frames, seconds and peak memory."""
-    import_mb = peak_mb()
+    """Read a clip and print frames, seconds, memory before and at most."""
+    process = psutil.Process()
+    before_mb = highest_mb = process.memory_info().rss / 2**20
+    n_frames = 0
     start = time.perf_counter()
-    n_frames = sum(1 for _ in read_frames(path))
-    print(n_frames, time.perf_counter() - start, import_mb, peak_mb())
-
-
-def peak_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    for _ in read_frames(path):
+        n_frames += 1
+        highest_mb = max(highest_mb, process.memory_info().rss / 2**20)
+    print(n_frames, time.perf_counter() - start, before_mb, highest_mb)
 
 
 def main() -> None:
