@@ -515,7 +515,8 @@ class WorldScene:
 
     `camera` is the (assumed or calibrated) camera in world coordinates. Standard errors:
     `scale` relative (0.02 = 2 %), `tilt_deg` of the gravity direction, `heading_deg` of the
-    forward direction, `floor_m` of the floor height.
+    forward direction, `floor_m` of the floor height; `plane_m` and `depth_m` of a well visible
+    keypoint across and along the line of sight.
     """
 
     camera: Camera
@@ -524,6 +525,8 @@ class WorldScene:
     heading_sigma_deg: float
     floor_sigma_m: float
     view_azimuth_deg: float
+    plane_sigma_m: float = math.nan
+    depth_sigma_m: float = math.nan
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
