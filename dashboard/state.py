@@ -14,6 +14,7 @@ from engine.jobs.local import JobRequest
 _UPLOAD = "upload"
 _REJECTED = "rejected_upload"
 _FORM = "form"
+_DELETION = "deletion"
 _ROUND = "form_round"
 _TRIAL = "trial"
 _JOB = "job"
@@ -114,6 +115,17 @@ def fill_from_sample(sample: Sample) -> None:
     """Start the form anew with what is known of a sample."""
     st.session_state[_ROUND] = st.session_state.get(_ROUND, 0) + 1
     st.session_state[_FORM] = {**sample.values, "label": sample.title, "sample": sample.key}
+
+
+def order_deletion(identifier: str) -> None:
+    """Remember a trial the user has confirmed to delete."""
+    st.session_state[_DELETION] = identifier
+
+
+def take_deletion() -> str | None:
+    """Return the trial to delete, once."""
+    ordered: str | None = st.session_state.pop(_DELETION, None)
+    return ordered
 
 
 def field_key(field: str) -> str:

@@ -19,7 +19,7 @@ from dashboard.widgets import (
     show_job_status,
 )
 from engine.jobs.local import JobQueue, JobState, JobStatus
-from engine.storage.library import Library, TrialEntry
+from engine.storage.library import TrialEntry
 
 POLL_S = 2.0
 
@@ -57,7 +57,7 @@ def show_entry(entry: TrialEntry) -> Literal["open", "delete"] | None:
 
 
 @st.dialog("Delete this trial?", icon=":material/delete:")
-def confirm_deletion(library: Library, entry: TrialEntry) -> None:
+def confirm_deletion(entry: TrialEntry) -> None:
     """Ask before a trial is deleted."""
     name = entry.label or entry.id
     st.write(
@@ -67,8 +67,14 @@ def confirm_deletion(library: Library, entry: TrialEntry) -> None:
     with st.container(horizontal=True, horizontal_alignment="right"):
         if st.button("Keep it", key="keep"):
             st.rerun()
-        if st.button("Delete for good", key="confirm-delete", type="primary"):
-            library.delete(entry.id)
+        # Deleted by the page, not here: there, an error becomes a message.
+        if st.button(
+            "Delete for good",
+            key="confirm-delete",
+            type="primary",
+            on_click=state.order_deletion,
+            args=(entry.id,),
+        ):
             st.rerun()
 
 

@@ -6,6 +6,8 @@ from dashboard import cache, pages, state
 from dashboard.trial_list import confirm_deletion, matches, show_empty, show_entry, show_jobs
 
 queue, library = cache.job_queue(), cache.library()
+if doomed := state.take_deletion():
+    library.delete(doomed)
 entries = library.entries()
 
 with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="bottom"):
@@ -32,4 +34,4 @@ for entry in found:
     if action == "open":
         st.switch_page(pages.TRIAL, query_params=state.trial_parameters(entry.id))
     if action == "delete":
-        confirm_deletion(library, entry)
+        confirm_deletion(entry)

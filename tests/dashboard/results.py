@@ -24,6 +24,8 @@ from tests.builders import (
     make_trial_result,
 )
 
+APP = Path(__file__).parents[2] / "dashboard" / "app.py"
+
 
 def make_shown_result(
     *, label: str = "Crate to shelf", load_kg: float | None = 12.0

@@ -1,0 +1,155 @@
+import dataclasses
+import io
+import math
+import zipfile
+
+import pytest
+
+from dashboard import cache
+from engine.storage.results import write_result
+from tests.builders import make_risk, make_scene, make_trial_result
+from tests.dashboard.results import add_trial, make_shown_result
+from tests.dashboard.test_app import html
+
+
+def open_trial(app, trial_id):
+    app.run()
+    app.query_params["trial"] = trial_id
+    app.switch_page("views/trial.py").run()
+    assert not app.exception
+    return app
+
+
+def store(library, result):
+    write_result(result, library.folder("one"))
+    return "one"
+
+
+def test_the_most_urgent_flag_comes_first_with_what_would_change_it(app, trial_id):
+    shown = html(open_trial(app, trial_id))
+    verdict = shown[shown.index("ll-verdict") :]
+    assert verdict.index("Lift 2 is far above") < verdict.index("The grip was assumed")
+    assert "Bring the load 20 cm closer" in verdict
+    assert "Lift 2 · 4.0 s to 5.1 s" in verdict
+    assert verdict.index("High risk") < verdict.index("Needs review") < verdict.index("No concern")
+
+
+def test_the_index_is_shown_with_its_range(app, trial_id):
+    shown = html(open_trial(app, trial_id))
+    assert '<div class="ll-number">2.3</div>' in shown
+    assert "95 % range 1.9" in shown
+
+
+def test_lifts_are_shown_with_errors_and_units(app, trial_id):
+    shown = html(open_trial(app, trial_id))
+    assert "58 ± 4 cm → 35 ± 4 cm" in shown
+    assert "32 ± 8° → 0 ± 8°" in shown
+    assert "4.0–5.1 s" in shown
+
+
+def test_both_ends_show_their_multipliers_and_what_costs_most(app, trial_id):
+    shown = html(open_trial(app, trial_id))
+    for part in ("Start of the lift", "End of the lift", "decides the result", "costs most"):
+        assert part in shown
+    assert "× 0.43" in shown  # 25 / 58
+    assert "5.3 kg" in shown
+    costly = shown[shown.index("ll-costs") :]
+    assert costly.index("Reach (H)") < costly.index("costs most") < costly.index("Height (V)")
+
+
+def test_another_lift_can_be_chosen(app, trial_id):
+    open_trial(app, trial_id)
+    chooser = next(g for g in app.button_group if g.options[:2] == ["Lift 1", "Lift 2"])
+    chooser.set_value("Lift 1")
+    app.run()
+    assert "× 0.56" in html(app)  # 25 / 45
+
+
+def test_worked_steps_and_sources_are_there(app, trial_id):
+    shown = html(open_trial(app, trial_id))
+    assert "RWL = 23 x" in shown
+    assert "entered by you" in shown
+    assert "assumed" in shown
+    assert "measured in the video" in shown
+
+
+def test_every_joint_can_be_plotted(app, trial_id):
+    open_trial(app, trial_id)
+    joints = next(g for g in app.button_group if "Knees" in g.options)
+    for joint in joints.options:
+        joints.set_value(joint)
+        app.run()
+        assert not app.exception
+        assert len(app.get("plotly_chart")) == 1
+
+
+def test_gaps_are_named(app, trial_id):
+    open_trial(app, trial_id)
+    assert any("Not seen for 10% of the time" in caption.value for caption in app.caption)
+
+
+def test_coverage_errors_and_warnings_are_shown(app, trial_id):
+    shown = html(open_trial(app, trial_id))
+    for part in ("95% seen", "3% filled in", "2% not seen", "± 2.0 %", "the right (90°"):
+        assert part in shown
+    assert "The grip was not given; fair is assumed." in shown
+
+
+def test_the_result_can_be_downloaded(app, library, trial_id):
+    open_trial(app, trial_id)
+    assert [b.label for b in app.get("download_button")] == [
+        "Whole result (zip)",
+        "trial.json",
+        "angles.csv",
+    ]
+    packed = zipfile.ZipFile(io.BytesIO(cache.zip_result(library.folder(trial_id))))
+    names = {name.removeprefix(f"{trial_id}/") for name in packed.namelist()}
+    assert {"trial.json", "tracks.npz", "angles.csv", "angles.mot", "keypoints.trc"} <= names
+    assert "overlay.mp4" in names
+    assert packed.testzip() is None
+
+
+def test_without_a_load_the_limit_is_shown_and_no_index(app, library, tmp_path):
+    shown = html(open_trial(app, add_trial(library, tmp_path, load_kg=None)))
+    assert "Recommended limit" in shown
+    assert "Load not given" in shown
+    assert "ll-number" not in shown
+
+
+def test_an_infinite_index_and_interval_are_shown_as_such(app, library):
+    shown = html(open_trial(app, store(library, make_trial_result(lis=(math.inf,)))))
+    assert '<div class="ll-number">∞</div>' in shown
+    assert "nan" not in shown.lower()
+
+
+def test_a_trial_without_lifts_flags_angles_or_video_still_opens(app, library):
+    empty = dataclasses.replace(
+        make_shown_result(),
+        lifts=(),
+        flags=(),
+        risk={"rnle": make_risk(math.nan, reasons=("no lift was found in the video",))},
+        warnings=(),
+        scene=make_scene(scale_sigma=math.nan, view_azimuth_deg=math.nan),
+    )
+    open_trial(app, store(library, empty))
+    assert any("No lift was found" in info.value for info in app.info)
+    assert "No flag was raised" in html(app)
+    assert "must not be used" in app.warning[0].value
+    assert "No lift was found in the video." in html(app)
+    assert any("without its annotated video" in info.value for info in app.info)
+
+
+def test_a_trial_without_the_lifting_equation_still_opens(app, library):
+    result = dataclasses.replace(make_shown_result(), risk={})
+    open_trial(app, store(library, result))
+    assert any("not part of this assessment" in info.value for info in app.info)
+
+
+@pytest.mark.parametrize("name", ["tracks.npz", "trial.json"])
+def test_a_damaged_file_is_said_in_one_sentence(app, library, trial_id, name):
+    (library.folder(trial_id) / name).write_bytes(b"not this")
+    app.run()
+    app.query_params["trial"] = trial_id
+    app.switch_page("views/trial.py").run()
+    assert not app.exception
+    assert "damaged" in app.error[0].value or "can't be read" in app.error[0].value

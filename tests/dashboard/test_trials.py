@@ -1,0 +1,163 @@
+import dataclasses
+
+import pytest
+
+from dashboard import cache
+from dashboard.trial_list import matches
+from engine.errors import ConfigError
+from engine.jobs.local import JobRequest, JobState, read_state, write_state
+from engine.storage.library import TrialEntry
+from engine.storage.results import write_result
+from tests.builders import make_trial_result
+from tests.dashboard.results import add_trial
+from tests.dashboard.test_app import html
+
+
+def test_an_empty_library_invites_to_a_first_assessment(app):
+    app.run()
+    assert "No trials yet" in html(app)
+    app.button(key="first-upload").click().run()
+    assert app.title[0].value == "New assessment"
+
+
+def test_an_empty_library_offers_the_samples(app):
+    assert cache.samples(), "the project ships samples"
+    app.run()
+    app.button(key="first-sample").click().run()
+    assert app.title[0].value == "New assessment"
+    assert app.radio(key="sample").value == cache.samples()[0].key
+    assert app.number_input[0].value == cache.samples()[0].values["stature_m"]
+
+
+def test_a_trial_is_listed_with_index_interval_and_flag(app, trial_id):
+    app.run()
+    shown = html(app)
+    assert "Crate to shelf" in shown
+    assert "2 lifts" in shown
+    assert "<b>2.3</b>" in shown
+    assert "lifting index, 1.9" in shown
+    assert "ll-shape-high" in shown
+    assert "High risk" in shown
+
+
+def test_a_trial_without_load_has_no_index(app, library, tmp_path):
+    add_trial(library, tmp_path, load_kg=None)
+    app.run()
+    assert "no lifting index" in html(app)
+
+
+def test_a_trial_without_flags_is_not_called_fine(app, library):
+    write_result(make_trial_result(lis=(float("nan"),)), library.folder("plain"))
+    app.run()
+    assert "Not judged" in html(app)
+    assert "No concern" not in html(app)
+
+
+def test_names_are_shown_as_they_are_written(app, library, tmp_path):
+    add_trial(library, tmp_path, label="<b>A & B</b>")
+    app.run()
+    assert "&lt;b&gt;A &amp; B&lt;/b&gt;" in html(app)
+    assert not app.exception
+
+
+def test_a_trial_opens(app, trial_id):
+    app.run()
+    app.button(key=f"open-{trial_id}").click().run()
+    assert app.title[0].value == "Crate to shelf"
+    assert app.query_params["trial"] == trial_id
+
+
+def test_search_narrows_the_list(app, library, tmp_path, trial_id):
+    add_trial(library, tmp_path, label="Sack onto pallet")
+    app.run()
+    app.text_input[0].set_value("sack PALLET").run()
+    assert "Sack onto pallet" in html(app)
+    assert "Crate to shelf" not in html(app)
+    app.text_input[0].set_value("nothing like it").run()
+    assert "No trial matches" in app.info[0].value
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("", True), ("p01", True), ("hall crate", True), ("hall sack", False)],
+)
+def test_every_word_of_a_search_must_match(words, expected):
+    entry = TrialEntry("a", "done", label="Crate", subject="P01", site="Hall 3")
+    assert matches(entry, words) is expected
+
+
+def test_a_trial_is_deleted_only_after_a_second_word(app, library, trial_id):
+    app.run()
+    app.button(key=f"delete-{trial_id}").click().run()
+    assert library.has(trial_id)
+    app.button(key="confirm-delete").click().run()
+    assert not library.has(trial_id)
+    assert "No trials yet" in html(app)
+
+
+def test_a_deletion_can_be_called_off(app, library, trial_id):
+    app.run()
+    app.button(key=f"delete-{trial_id}").click().run()
+    app.button(key="keep").click().run()
+    assert library.has(trial_id)
+    assert not app.exception
+
+
+def test_a_damaged_result_is_listed_and_can_be_deleted(app, library):
+    folder = library.folder("broken")
+    folder.mkdir()
+    (folder / "trial.json").write_text("{")
+    app.run()
+    assert "Damaged result" in html(app)
+    with pytest.raises(KeyError):
+        app.button(key="open-broken")
+    app.button(key="delete-broken").click().run()
+    app.button(key="confirm-delete").click().run()
+    assert not folder.exists()
+
+
+@pytest.fixture
+def failed_job(library, tmp_path, monkeypatch):
+    """A job that failed, as its worker left it."""
+    video = library.upload_folder("u") / "clip.mp4"
+    video.write_bytes(b"video")
+    monkeypatch.setattr("engine.jobs.local.JobQueue.advance", lambda _self: None)
+    queue = cache.job_queue()
+    job_id = queue.submit(JobRequest(videos=(video,), label="Crate"))
+    status = dataclasses.replace(
+        read_state(queue.root / job_id),
+        state=JobState.FAILED,
+        message="No person was found in clip.mp4; film the whole body.",
+        exit_code=3,
+    )
+    write_state(queue.root / job_id, status)
+    return job_id
+
+
+def test_a_failed_job_is_shown_with_its_reason_until_it_is_dismissed(app, failed_job):
+    app.run()
+    assert "No person was found" in app.error[0].value
+    app.button(key=f"dismiss-{failed_job}").click().run()
+    assert not app.error
+    with pytest.raises(ConfigError):
+        cache.job_queue().read(failed_job)
+
+
+def test_a_failed_job_can_be_changed_and_tried_again(app, failed_job):
+    app.run()
+    app.button(key=f"show-{failed_job}").click().run()
+    assert app.query_params["job"] == failed_job
+    assert "No person was found" in app.error[0].value
+    app.button(key="again").click().run()
+    assert "job" not in app.query_params
+    assert app.text_input[1].value == "Crate"
+    assert "clip.mp4" in app.success[0].value
+    assert not app.button(key="start").disabled
+
+
+def test_a_failed_job_can_be_discarded(app, library, failed_job):
+    app.run()
+    app.button(key=f"show-{failed_job}").click().run()
+    app.button(key="discard").click().run()
+    assert app.title[0].value == "New assessment"
+    assert not list(library.root.rglob("clip.mp4"))
