@@ -312,6 +312,8 @@ def make_scene(**changes: Any) -> WorldScene:
         "heading_sigma_deg": 5.0,
         "floor_sigma_m": 0.02,
         "view_azimuth_deg": 90.0,
+        "plane_sigma_m": 0.03,
+        "depth_sigma_m": 0.08,
         "provenance": {"scale": "stature", "gravity": "upright frames"},
     }
     return WorldScene(**{**values, **changes})

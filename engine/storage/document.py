@@ -241,6 +241,17 @@ def decode_task(values: Mapping[str, Any]) -> Task:
     )
 
 
+SCENE_NUMBERS = (
+    "scale_sigma",
+    "tilt_sigma_deg",
+    "heading_sigma_deg",
+    "floor_sigma_m",
+    "view_azimuth_deg",
+    "plane_sigma_m",
+    "depth_sigma_m",
+)
+
+
 def _encode_scene(scene: WorldScene) -> dict[str, Any]:
     camera = scene.camera
     return {
@@ -252,11 +263,7 @@ def _encode_scene(scene: WorldScene) -> dict[str, Any]:
             "rotation": encode_plain(camera.rotation),
             "translation_m": encode_plain(camera.translation),
         },
-        "scale_sigma": encode_number(scene.scale_sigma),
-        "tilt_sigma_deg": encode_number(scene.tilt_sigma_deg),
-        "heading_sigma_deg": encode_number(scene.heading_sigma_deg),
-        "floor_sigma_m": encode_number(scene.floor_sigma_m),
-        "view_azimuth_deg": encode_number(scene.view_azimuth_deg),
+        **{key: encode_number(getattr(scene, key)) for key in SCENE_NUMBERS},
         "provenance": encode_plain(scene.provenance),
     }
 
@@ -265,16 +272,6 @@ def decode_scene(values: Mapping[str, Any]) -> WorldScene:
     """Return the camera in the world with its errors."""
     camera = values["camera"]
     width, height = camera["size_px"]
-    numbers = {
-        key: decode_number(values[key])
-        for key in (
-            "scale_sigma",
-            "tilt_sigma_deg",
-            "heading_sigma_deg",
-            "floor_sigma_m",
-            "view_azimuth_deg",
-        )
-    }
     return WorldScene(
         camera=Camera(
             name=camera["name"],
@@ -285,7 +282,7 @@ def decode_scene(values: Mapping[str, Any]) -> WorldScene:
             translation=camera["translation_m"],
         ),
         provenance=decode_plain(values["provenance"]),
-        **numbers,
+        **{key: decode_number(values[key]) for key in SCENE_NUMBERS},
     )
 
 

@@ -37,6 +37,7 @@ from engine.storage.atomic import (
     write_aside,
 )
 from engine.storage.results import (
+    DECODING_ERRORS,
     SUMMARY_NAME,
     THUMBNAIL_NAMES,
     TRACKS_NAME,
@@ -266,7 +267,7 @@ def _read_entry(folder: Path) -> TrialEntry:
         return _build_entry(folder, _read_summary(folder))
     except DataError as error:
         message = str(error)
-    except (OSError, LookupError, TypeError, ValueError, AttributeError) as error:
+    except (OSError, *DECODING_ERRORS) as error:
         message = f"The result in {folder} is damaged ({error!r}); assess the video again."
     return TrialEntry(id=folder.name, status="damaged", created=_created(folder), message=message)
 

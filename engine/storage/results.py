@@ -77,6 +77,9 @@ RESULT_FILES = (
 )
 """Every file a result folder may hold."""
 
+DECODING_ERRORS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
+"""What values of another kind than expected raise on their way into the engine's types."""
+
 REQUIRED_KEYS = ("schema_version", "views", "subject", "task", "lifts", "risk", "flags", "scene")
 
 
@@ -245,7 +248,7 @@ def read_result(folder: Path) -> StoredResult:
     document = read_document(folder)
     try:
         infos = [decode_view(view) for view in document["views"]]
-    except (KeyError, TypeError, ValueError) as error:
+    except DECODING_ERRORS as error:
         raise _damaged(folder, f"its views are not as expected: {error!r}") from error
     tracks = read_tracks(folder / TRACKS_NAME, infos)
     stored = StoredResult(
@@ -298,7 +301,7 @@ def _check_parts(stored: StoredResult) -> None:
     try:
         for part in ("lifts", "risk", "flags", "subject", "task", "scene", "warnings"):
             getattr(stored, part)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except DECODING_ERRORS as error:
         raise _damaged(stored.folder, f"its {part} are not as expected: {error!r}") from error
 
 

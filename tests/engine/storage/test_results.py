@@ -20,10 +20,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from engine.datatypes import Status, Subject, Task
+from engine.datatypes import (
+    Flag,
+    Lift,
+    LiftEnd,
+    Measurement,
+    RiskInput,
+    RiskResult,
+    Status,
+    Subject,
+    Task,
+    ViewInfo,
+    WorldScene,
+)
 from engine.errors import ConfigError, DataError, OutputError, UnitError
 from engine.storage import results as results_module
 from engine.storage.document import (
+    SCENE_NUMBERS,
     SCHEMA_PATH,
     decode_number,
     decode_plain,
@@ -92,6 +105,27 @@ class TestSchema:
         document = read_json(write_result(make_trial_result(), tmp_path / "result"))
         del document[key]
         assert not VALIDATOR.is_valid(document)
+
+    @pytest.mark.parametrize(
+        ("part", "kind", "own"),
+        [
+            ("view", ViewInfo, set()),
+            ("scene", WorldScene, set()),
+            ("lift", Lift, set()),
+            ("end", LiftEnd, set()),
+            ("measurement", Measurement, set()),
+            ("risk", RiskResult, {"is_infinite", "interval_is_infinite"}),
+            ("input", RiskInput, {"is_infinite"}),
+            ("flag", Flag, set()),
+            ("subject", Subject, {"provenance", "stature_sigma_m"}),
+            ("task", Task, {"provenance"}),
+        ],
+    )
+    def test_no_field_of_a_type_is_forgotten(
+        self, part: str, kind: type[Any], own: set[str]
+    ) -> None:
+        fields = {field.name for field in dataclasses.fields(kind)}
+        assert set(SCHEMA["$defs"][part]["required"]) == fields | own
 
     def test_it_has_the_keys_of_the_contract(self) -> None:
         contract = "schema_version liftlens_version views subject task config backend solver"
@@ -246,7 +280,8 @@ class TestRoundTrip:
         assert stored.subject == result.trial.subject
         assert stored.task == result.trial.task
         np.testing.assert_array_equal(stored.scene.camera.matrix, result.scene.camera.matrix)
-        assert repr(stored.scene.scale_sigma) == repr(result.scene.scale_sigma)
+        for name in SCENE_NUMBERS:
+            assert repr(getattr(stored.scene, name)) == repr(getattr(result.scene, name))
 
     @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
     @given(data=st.data(), n_frames=st.integers(1, 4))
@@ -559,6 +594,13 @@ class TestDamage:
     def test_parts_of_the_wrong_kind(self, folder: Path, key: str) -> None:
         document = read_json(folder)
         document[key] = [{"nonsense": 1}]
+        (folder / "trial.json").write_text(json.dumps(document))
+        with pytest.raises(DataError, match="damaged"):
+            read_result(folder)
+
+    def test_a_number_too_large_for_a_float(self, folder: Path) -> None:
+        document = read_json(folder)
+        document["lifts"][0]["start_s"] = 10**400
         (folder / "trial.json").write_text(json.dumps(document))
         with pytest.raises(DataError, match="damaged"):
             read_result(folder)
