@@ -192,6 +192,7 @@ def _encode_view(info: ViewInfo) -> dict[str, Any]:
         "codec": info.codec,
         "rotation_deg": int(info.rotation_deg),
         "is_variable_rate": bool(info.is_variable_rate),
+        "n_missing_frames": int(info.n_missing_frames),
     }
 
 
