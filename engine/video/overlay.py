@@ -313,28 +313,42 @@ def _text_width(text: str, size_px: int) -> int:
     return math.ceil(_font(size_px).getlength(text))
 
 
-@lru_cache(maxsize=64)
 def _label(text: str, size_px: int) -> _Label:
-    """Render white text on a dark, rounded, half transparent plate."""
-    font = _font(size_px)
-    # Digits differ in width: a plate for the widest does not twitch as the time runs.
-    widest = "".join("0" if c.isdigit() else c for c in text)
-    plate, draw = _plate(_text_width(widest, size_px) + size_px, size_px)
-    draw.text((size_px // 2, plate.height / 2), text, font=font, fill=(255,) * 4, anchor="lm")
+    """Compose white text on a dark, rounded, half transparent plate, from ready characters."""
+    left, right = _plate_ends(size_px)
+    pieces = [left, *(_character(c, size_px) for c in text), right]
+    return np.hstack([p[0] for p in pieces]), np.hstack([p[1] for p in pieces])
+
+
+@lru_cache(maxsize=256)
+def _character(character: str, size_px: int) -> _Label:
+    """Render one character; all digits are as wide as 0, so that a running time does not twitch."""
+    width = _text_width("0" if character.isdigit() else character, size_px)
+    plate, draw = _plate(width, size_px, corner=0)
+    at = (width / 2, plate.height / 2)
+    draw.text(at, character, font=_font(size_px), fill=(255,) * 4, anchor="mm")
     return _premultiply(plate)
+
+
+@lru_cache(maxsize=8)
+def _plate_ends(size_px: int) -> tuple[_Label, _Label]:
+    half = size_px // 2
+    colour, cover = _premultiply(_plate(2 * half, size_px)[0])
+    return (colour[:, :half], cover[:, :half]), (colour[:, half:], cover[:, half:])
 
 
 @lru_cache(maxsize=4)
 def _legend(size_px: int) -> _Label:
     """Render which colour is which side."""
-    font = _font(size_px)
     entries = (("left", LEFT), ("right", RIGHT))
     widths = [_text_width(name, size_px) + round(1.4 * size_px) for name, _ in entries]
     plate, draw = _plate(sum(widths) + size_px // 2, size_px)
     x, middle, radius = size_px // 2, plate.height / 2, 0.3 * size_px
     for (name, colour), width in zip(entries, widths, strict=True):
         plate.alpha_composite(_dot(radius, colour), (x, round(middle - radius)))
-        draw.text((x + 0.9 * size_px, middle), name, font=font, fill=(255,) * 4, anchor="lm")
+        draw.text(
+            (x + 0.9 * size_px, middle), name, font=_font(size_px), fill=(255,) * 4, anchor="lm"
+        )
         x += width
     return _premultiply(plate)
 
@@ -347,11 +361,14 @@ def _dot(radius: float, colour: Colour) -> Image.Image:
     return dot.resize((side, side), Image.Resampling.BOX)
 
 
-def _plate(width: int, size_px: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+def _plate(
+    width: int, size_px: int, *, corner: int | None = None
+) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    """Make an empty plate and the means to draw on it."""
     height = round(1.7 * size_px)
+    corner = round(0.35 * size_px) if corner is None else corner
     plate = Image.new("RGBA", (width, height), (0, 0, 0, 0))
     draw = ImageDraw.Draw(plate)
-    corner = round(0.35 * size_px)
     draw.rounded_rectangle((0, 0, width - 1, height - 1), corner, fill=(*OUTLINE, 165))
     return plate, draw
 
