@@ -12,6 +12,7 @@ from engine.correction.filters import butterworth_low_pass
 from engine.correction.gaps import fill_gaps
 from engine.datatypes import Array, PoseTrack, Status
 from engine.errors import ConfigError
+from engine.skeletons import get_skeleton
 
 __all__ = ["correct_track", "summarise_status"]
 
@@ -100,14 +101,25 @@ def _widen_filled(time_s: Array, kept: Array, sigma: Array, is_filled: NDArray[n
     return widened
 
 
-def summarise_status(track: PoseTrack) -> dict[str, float]:
+def summarise_status(
+    track: PoseTrack, *, keypoints: tuple[str, ...] | None = None
+) -> dict[str, float]:
     """Return the share of joint samples measured, repaired, filled and missing (sum 1).
 
     A sample that exists after smoothing counts by how it came to be; a rejected sample that
     could not be filled is missing.
+
+    Parameters
+    ----------
+    track
+        Any track.
+    keypoints
+        Names to count; all if None.
     """
-    status = np.asarray(track.status)
-    present = track.is_present
+    skeleton = get_skeleton(track.skeleton)
+    columns = [skeleton.index(k) for k in keypoints or skeleton.keypoints]
+    status = np.asarray(track.status)[:, columns]
+    present = track.is_present[:, columns]
     total = max(status.size, 1)
     shares = {
         "measured": (present & np.isin(status, (Status.MEASURED, Status.SMOOTHED))).sum(),

@@ -95,6 +95,7 @@ REFUSED_CONDITIONS: Mapping[str, str] = {
 DOUBTFUL_CONDITIONS: Mapping[str, str] = {
     "pivot": "the feet turn during the lift, so that the asymmetry angle is less certain",
     "high_speed": "the lift is faster than the equation was made for",
+    "ends_at_rest": "the movement ends with hanging arms, so it may be a rise without a load",
 }
 
 

@@ -9,14 +9,26 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import pkgutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 import engine.kinematics.fitting as solvers_package
-from engine.datatypes import JointAngles, PoseTrack, Subject
+from engine.datatypes import JointAngles, PoseTrack, Subject, WorldScene
 from engine.errors import ConfigError, UnitError
 
-__all__ = ["Solver", "SolverInfo", "list_solvers", "require_world_metres", "select_solver"]
+__all__ = [
+    "Solver",
+    "SolverInfo",
+    "add_scene_errors",
+    "list_solvers",
+    "require_world_metres",
+    "select_solver",
+]
+
+VERTICAL_ANGLES = ("trunk_inclination", "trunk_flexion", "trunk_lateral_bend")
+"""Angles against the vertical, which is itself only estimated."""
 
 _NOT_SOLVERS = ("base",)
 
@@ -101,3 +113,19 @@ def select_solver(name: str) -> Solver:
             f"run: pip install 'liftlens[{info.extra}]'."
         )
     return known[name]
+
+
+def add_scene_errors(angles: JointAngles, scene: WorldScene) -> JointAngles:
+    """Widen the errors of angles against the vertical by that of the vertical itself.
+
+    Parameters
+    ----------
+    angles
+        With the errors of the keypoints.
+    scene
+        With the standard error of the gravity direction.
+    """
+    sigma = np.array(angles.sigma_deg)
+    columns = [i for i, name in enumerate(angles.names) if name in VERTICAL_ANGLES]
+    sigma[:, columns] = np.hypot(sigma[:, columns], scene.tilt_sigma_deg)
+    return replace(angles, sigma_deg=sigma)

@@ -1,0 +1,598 @@
+"""Lifts in a clip: when the load moves, and where the hands are at both ends.
+
+The hands tell: they come to rest on the load, carry it, stop to let it go. A camera
+does not see whether the hands hold something, so the
+movement between two stops away from the body's side is taken for the loaded one; reaching out
+from hanging arms and returning to them are not. Where that is not certain, the lift says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import find_peaks
+
+from engine.datatypes import (
+    Array,
+    JointAngles,
+    Lift,
+    LiftEnd,
+    Measurement,
+    PoseTrack,
+    Sex,
+    WorldScene,
+)
+from engine.skeletons import Skeleton, get_skeleton
+
+__all__ = ["Hands", "LiftFindings", "Move", "compute_hands", "detect_lifts", "measure_end"]
+
+KNUCKLE_RATIO = {"male": 0.32, "female": 0.30, None: 0.31}
+"""Wrist to third knuckle over elbow to wrist: hand and forearm lengths of de Leva (1996)."""
+MIN_PEAK_SPEED_M_S = 0.25
+MIN_FRAME_RATE_HZ = 15.0
+MIN_PEAK_RATE_HZ = 25.0
+STOP_SPEED_M_S = 0.10
+DWELL_S = 0.2
+ARM_LENGTH_SHARE = 0.387
+"""Shoulder to knuckle as a share of stature (upper arm, forearm, half a hand; Winter 2009)."""
+REST_DISTANCE_SHARE = 0.14
+REST_INCLINATION_DEG = 22.0
+WINDOW_S = 0.1
+WALK_M = 0.35
+PIVOT_DEG = 20.0
+KNEELING_SHARE = 0.12
+SEATED_SHARE = 0.36
+UNLOADED_RISE_M = 0.25
+IQR_TO_SIGMA = 1.349
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """The hands over time, world metres.
+
+    `mid` (T, 3): height and forward position from both hands by their visibility (both hold
+    one load), sideways position their plain middle. `left`, `right` (T, 3) knuckles;
+    `certainty` (T,) of the better seen hand, 0 to 1; `speed` (T,) m/s of `mid`, with the
+    part along the line of sight weighted down by its larger error.
+    """
+
+    mid: Array
+    left: Array
+    right: Array
+    certainty: Array
+    speed: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class Move:
+    """One movement of the hands between two stops; frame indices, `peak` of its highest speed."""
+
+    start: int
+    peak: int
+    end: int
+
+
+@dataclass(frozen=True)
+class LiftFindings:
+    """The lifts of a clip, and conditions of the whole clip that touch validity."""
+
+    lifts: tuple[Lift, ...]
+    conditions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def compute_knuckles(
+    track_position: Array, skeleton: Skeleton, side: str, *, sex: Sex | None = None
+) -> Array:
+    """Return the third knuckle of one hand, shape (T, 3).
+
+    The middle of the index and little-finger knuckles where the skeleton has them, otherwise
+    beyond the wrist along the forearm.
+    """
+    if skeleton.has(f"{side}_index") and skeleton.has(f"{side}_pinky"):
+        return np.asarray(
+            0.5
+            * (
+                skeleton.point(track_position, f"{side}_index")
+                + skeleton.point(track_position, f"{side}_pinky")
+            )
+        )
+    wrist = skeleton.point(track_position, f"{side}_wrist")
+    elbow = skeleton.point(track_position, f"{side}_elbow")
+    return np.asarray(wrist + KNUCKLE_RATIO[sex] * (wrist - elbow))
+
+
+def compute_hands(track: PoseTrack, scene: WorldScene, *, sex: Sex | None = None) -> Hands:
+    """Follow both hands and the middle between them.
+
+    Parameters
+    ----------
+    track
+        World metres, corrected.
+    scene
+        Tells along which direction depths are uncertain.
+    sex
+        For the hand's length where only wrists are known.
+
+    Returns
+    -------
+    Hands
+        NaN where neither hand was found.
+    """
+    skeleton = get_skeleton(track.skeleton)
+    position = np.asarray(track.position)
+    sides = {s: compute_knuckles(position, skeleton, s, sex=sex) for s in ("left", "right")}
+    certainty = {
+        s: np.nan_to_num(track.confidence[:, skeleton.index(f"{s}_wrist")], nan=1.0) for s in sides
+    }
+    # A hidden hand's place is a guess; a small floor keeps it in when both are hidden.
+    weight = {
+        s: np.where(np.isfinite(sides[s]).all(axis=1), certainty[s] ** 2 + 0.02, 0.0) for s in sides
+    }
+    total = weight["left"] + weight["right"]
+    total = np.where(total > 0, total, np.nan)
+    left, right = np.nan_to_num(sides["left"]), np.nan_to_num(sides["right"])
+    mid = (weight["left"][:, None] * left + weight["right"][:, None] * right) / total[:, None]
+    both = (weight["left"] > 0) & (weight["right"] > 0)
+    mid[both, 2] = 0.5 * (left[both, 2] + right[both, 2])
+    velocity = np.gradient(mid, track.time_s, axis=0) if len(mid) > 1 else np.zeros_like(mid)
+    return Hands(
+        mid=mid,
+        left=sides["left"],
+        right=sides["right"],
+        certainty=np.maximum(certainty["left"], certainty["right"]),
+        speed=_weighted_speed(velocity, scene),
+        velocity=velocity,
+    )
+
+
+def _view_direction(scene: WorldScene) -> Array:
+    """Return the camera's viewing direction in the world, shape (3,)."""
+    return np.asarray(scene.camera.rotation[2])
+
+
+def _weighted_speed(velocity: Array, scene: WorldScene) -> Array:
+    along = _view_direction(scene)
+    share = float(np.clip(np.nan_to_num(scene.plane_sigma_m / scene.depth_sigma_m, nan=1.0), 0, 1))
+    depth = velocity @ along
+    across = velocity - depth[:, None] * along
+    return np.asarray(np.sqrt((across**2).sum(axis=1) + (share * depth) ** 2))
+
+
+def find_moves(
+    time_s: Array, hands: Hands, *, speed_floor_m_s: float = 0.05, speed_share: float = 0.05
+) -> list[Move]:
+    """Split the hands' path into movements from stop to stop.
+
+    Parameters
+    ----------
+    time_s
+        Shape (T,).
+    hands
+        The hands' speed and velocity.
+    speed_floor_m_s, speed_share
+        A movement begins and ends where the speed falls to the larger of the floor and this share
+        of its peak.
+
+    Returns
+    -------
+    list of Move
+        In order of time.
+    """
+    speed = np.nan_to_num(hands.speed)
+    peaks, _ = find_peaks(speed, height=MIN_PEAK_SPEED_M_S, prominence=0.08)
+    groups: list[list[int]] = []
+    for peak in map(int, peaks):
+        if groups and _is_same_move(time_s, hands, groups[-1][-1], peak):
+            groups[-1].append(peak)
+        else:
+            groups.append([peak])
+    moves = []
+    for i, group in enumerate(groups):
+        low = _valley(speed, groups[i - 1][-1], group[0]) if i else 0
+        high = (
+            _valley(speed, group[-1], groups[i + 1][0]) if i + 1 < len(groups) else len(speed) - 1
+        )
+        first = _last_below(
+            speed, low, group[0], max(speed_floor_m_s, speed_share * speed[group[0]])
+        )
+        last = _first_below(
+            speed, group[-1], high, max(speed_floor_m_s, speed_share * speed[group[-1]])
+        )
+        highest = max(group, key=lambda k: speed[k])
+        moves.append(Move(first, highest, last))
+    return moves
+
+
+def _is_same_move(time_s: Array, hands: Hands, first: int, second: int) -> bool:
+    """Whether two speed peaks belong to one movement: same direction and no real stop between."""
+    speed = np.nan_to_num(hands.speed)
+    a, b = hands.velocity[first], hands.velocity[second]
+    cosine = float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-9))
+    valley = _valley(speed, first, second)
+    if cosine < 0.3:
+        return False
+    still = speed[first : second + 1] < STOP_SPEED_M_S
+    dwell = float(still.sum()) * float(np.median(np.diff(time_s)))
+    return bool(speed[valley] > STOP_SPEED_M_S / 2 and dwell < DWELL_S)
+
+
+def _valley(speed: Array, first: int, second: int) -> int:
+    return first + int(np.argmin(speed[first : second + 1]))
+
+
+def _last_below(speed: Array, low: int, peak: int, threshold: float) -> int:
+    below = np.flatnonzero(speed[low : peak + 1] < threshold)
+    return low + (int(below[-1]) if below.size else int(np.argmin(speed[low : peak + 1])))
+
+
+def _first_below(speed: Array, peak: int, high: int, threshold: float) -> int:
+    below = np.flatnonzero(speed[peak : high + 1] < threshold)
+    return peak + (int(below[0]) if below.size else int(np.argmin(speed[peak : high + 1])))
+
+
+def find_rest(
+    track: PoseTrack, hands: Hands, scene: WorldScene, *, stature_m: float
+) -> NDArray[np.bool_]:
+    """Return the frames in which the person stands with hanging arms, shape (T,)."""
+    skeleton = get_skeleton(track.skeleton)
+    position = np.asarray(track.position)
+    shoulders, hips = skeleton.point(position, "thorax"), skeleton.point(position, "pelvis")
+    trunk = shoulders - hips
+    upright = trunk[:, 1] / np.linalg.norm(trunk, axis=1) > np.cos(np.radians(REST_INCLINATION_DEG))
+    hanging = shoulders - [0.0, ARM_LENGTH_SHARE * stature_m, 0.0]
+    along = _view_direction(scene)
+    off = hands.mid - hanging
+    # Depth is too uncertain to call a hand away from the side.
+    off = off - 0.5 * (off @ along)[:, None] * along
+    distance = np.linalg.norm(off, axis=1)
+    return np.asarray(np.nan_to_num(upright) & (distance < REST_DISTANCE_SHARE * stature_m))
+
+
+def choose_loaded(
+    moves: list[Move], hands: Hands, at_rest: NDArray[np.bool_], *, min_rise_m: float
+) -> tuple[list[Move], list[str]]:
+    """Choose the movements in which a load is carried.
+
+    Returns
+    -------
+    list of Move
+        The loaded movements.
+    list of str
+        Doubts about the choice.
+    """
+    rise = {m: float(hands.mid[m.end, 1] - hands.mid[m.start, 1]) for m in moves}
+    tall = [m for m in moves if abs(rise[m]) >= min_rise_m]
+    between = [m for m in tall if not at_rest[m.start] and not at_rest[m.end]]
+    if not between:
+        # A load may also be lifted until the arms hang; an empty rise looks the same.
+        to_rest = [m for m in tall if rise[m] >= UNLOADED_RISE_M and not at_rest[m.start]]
+        return to_rest, ["ends_at_rest"] if to_rest else []
+    up = [m for m in between if rise[m] > 0]
+    down = [m for m in between if rise[m] < 0]
+    if up and down:
+        # Pick-and-place work: one direction carries the load, the other returns for the next.
+        return (up if len(up) >= len(down) else down), ["one_direction"]
+    return between, []
+
+
+def measure_end(
+    track: PoseTrack,
+    hands: Hands,
+    scene: WorldScene,
+    *,
+    at_s: float,
+    forward: Array | None = None,
+) -> LiftEnd:
+    """Measure H, V and A at one instant, as medians over 0.1 s on both sides.
+
+    Standard errors join the scatter over that time with what is not known of the scene: errors
+    across and along the line of sight, scale, floor, tilt and heading. A small distance
+    sideways is inflated by noise (it has no sign in A), so its expected noise is taken off, in
+    squares.
+
+    Parameters
+    ----------
+    track
+        World metres.
+    hands
+        Of the same track.
+    scene
+        Where the camera is and how well that is known.
+    at_s
+        Instant, s.
+    forward
+        Horizontal unit vector (3,) of the feet; the world's X axis if None.
+
+    Returns
+    -------
+    LiftEnd
+        NaN where feet or hands were not found.
+    """
+    skeleton = get_skeleton(track.skeleton)
+    forward = np.array([1.0, 0.0, 0.0]) if forward is None else forward
+    right = np.cross(forward, [0.0, 1.0, 0.0])
+    near = np.abs(track.time_s - at_s) <= WINDOW_S + 1e-9
+    if not near.any():
+        near = np.abs(track.time_s - at_s) == np.abs(track.time_s - at_s).min()
+    mid = hands.mid[near]
+    offset = mid - skeleton.point(np.asarray(track.position), "mid_ankle")[near]
+    known = np.isfinite(offset).all(axis=1)
+    if not known.any():
+        missing = Measurement(np.nan)
+        return LiftEnd(at_s, missing, missing, missing)
+    mid, offset = mid[known], offset[known]
+    flat = np.array([np.median(offset @ forward), np.median(offset @ right)])
+    doubt = 1.0 + 2.0 * (1.0 - float(np.median(hands.certainty[near])))
+    covariance = _offset_covariance(scene, forward, right, doubt)
+    H, A = _distance_and_angle(flat, covariance, scene)
+    scatter = _scatter(np.linalg.norm(offset[:, [0, 2]], axis=1))
+    H = replace(H, sigma=float(np.hypot(H.sigma, scatter)))
+    V = float(np.median(mid[:, 1]))
+    plane = np.nan_to_num(scene.plane_sigma_m) * doubt
+    depth_offset = float(np.median(offset @ _view_direction(scene)))
+    V_sigma = np.sqrt(
+        plane**2
+        + scene.floor_sigma_m**2
+        + (scene.scale_sigma * V) ** 2
+        + (np.radians(scene.tilt_sigma_deg) * depth_offset) ** 2
+        + _scatter(mid[:, 1]) ** 2
+    )
+    return LiftEnd(
+        time_s=at_s,
+        H_cm=Measurement(100 * H.value, 100 * H.sigma),
+        V_cm=Measurement(100 * max(V, 0.0), 100 * float(V_sigma)),
+        A_deg=A,
+    )
+
+
+def _scatter(values: Array) -> float:
+    low, high = np.percentile(values, [25, 75])
+    return float((high - low) / IQR_TO_SIGMA)
+
+
+def _offset_covariance(scene: WorldScene, forward: Array, right: Array, doubt: float) -> Array:
+    """Return the covariance (2, 2) of the horizontal offset feet to hands: forward, right; m2."""
+    view = _view_direction(scene)
+    along = np.array([view @ forward, view @ right])
+    along /= max(float(np.linalg.norm(along)), 1e-9)
+    across = np.array([-along[1], along[0]])
+    plane = np.nan_to_num(scene.plane_sigma_m) * doubt
+    depth = np.nan_to_num(scene.depth_sigma_m) * doubt
+    return np.asarray(plane**2 * np.outer(across, across) + depth**2 * np.outer(along, along))
+
+
+def _distance_and_angle(
+    flat: Array, covariance: Array, scene: WorldScene
+) -> tuple[Measurement, Measurement]:
+    """Return H (m) and A (degrees) from the horizontal offset (forward, right)."""
+    forward, side = float(flat[0]), float(flat[1])
+    heading = np.radians(scene.heading_sigma_deg)
+    side_variance = float(covariance[1, 1]) + (heading * forward) ** 2
+    side = np.sign(side) * np.sqrt(max(side**2 - side_variance, 0.0))
+    H = float(np.hypot(forward, side))
+    unit = np.array([forward, side]) / max(H, 1e-9)
+    normal = np.array([-unit[1], unit[0]])
+    H_sigma = np.sqrt(unit @ covariance @ unit + (scene.scale_sigma * H) ** 2)
+    A = float(np.degrees(np.arctan2(abs(side), forward)))
+    A_sigma = np.degrees(np.sqrt(normal @ covariance @ normal / max(H, 0.1) ** 2 + heading**2))
+    return Measurement(H, float(H_sigma)), Measurement(A, float(min(A_sigma, 90.0)))
+
+
+def detect_lifts(
+    track: PoseTrack,
+    angles: JointAngles,
+    scene: WorldScene,
+    *,
+    stature_m: float,
+    sex: Sex | None = None,
+    min_rise_m: float = 0.10,
+    min_duration_s: float = 0.3,
+    max_duration_s: float = 5.0,
+    speed_floor_m_s: float = 0.05,
+    speed_share: float = 0.05,
+    max_hand_separation_m: float = 0.60,
+) -> LiftFindings:
+    """Find the lifts of a clip and measure them.
+
+    Parameters
+    ----------
+    track
+        World metres, corrected, at least 15 frames per second.
+    angles
+        For the speed of the trunk.
+    scene
+        Where the camera is and how well that is known.
+    stature_m
+        Metres.
+    sex
+        For the hand's length where only wrists are known.
+    min_rise_m, min_duration_s, max_duration_s
+        What counts as a lift.
+    speed_floor_m_s, speed_share
+        See `find_moves`.
+    max_hand_separation_m
+        Hands further apart do not hold one load.
+
+    Returns
+    -------
+    LiftFindings
+        Lifts in order of time; notes and conditions are the keys the risk methods know.
+    """
+    time_s = np.asarray(track.time_s)
+    if len(time_s) < 3:
+        return LiftFindings((), (), ("The clip is too short to find lifts in it.",))
+    rate_hz = 1.0 / float(np.median(np.diff(time_s)))
+    if rate_hz < MIN_FRAME_RATE_HZ:
+        text = (
+            f"Lifts need at least {MIN_FRAME_RATE_HZ:g} frames per second, this video has "
+            f"{rate_hz:.1f}; no lift was looked for. Film at 25 frames per second or more."
+        )
+        return LiftFindings((), (), (text,))
+    hands = compute_hands(track, scene, sex=sex)
+    moves = find_moves(time_s, hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share)
+    at_rest = find_rest(track, hands, scene, stature_m=stature_m)
+    loaded, doubts = choose_loaded(moves, hands, at_rest, min_rise_m=min_rise_m)
+    lifts, warnings = [], []
+    for move in loaded:
+        duration = time_s[move.end] - time_s[move.start]
+        if not min_duration_s <= duration <= max_duration_s:
+            warnings.append(
+                f"A movement of the hands from {time_s[move.start]:.1f} to "
+                f"{time_s[move.end]:.1f} s was left out: a lift lasts {min_duration_s:g} to "
+                f"{max_duration_s:g} s."
+            )
+            continue
+        notes = (*doubts, *_notes(track, hands, move, scene, stature_m, max_hand_separation_m))
+        lifts.append(_measure_lift(track, angles, hands, scene, move, moves, notes, rate_hz))
+    warnings += _explain(doubts, rate_hz)
+    return LiftFindings(tuple(lifts), _conditions(track, stature_m), tuple(warnings))
+
+
+def _explain(doubts: list[str], rate_hz: float) -> list[str]:
+    texts = {
+        "ends_at_rest": "A lift ends with hanging arms; rising without a load looks the same, so "
+        "check that the hands carried something.",
+        "one_direction": "Hands moved both up and down between two places; only the more frequent "
+        "direction (upwards when equal) is counted as loaded.",
+    }
+    found = [texts[d] for d in doubts]
+    if rate_hz < MIN_PEAK_RATE_HZ:
+        found.append(
+            f"Peak speeds need {MIN_PEAK_RATE_HZ:g} frames per second, this video has "
+            f"{rate_hz:.1f}; they are likely too low."
+        )
+    return found
+
+
+def _conditions(track: PoseTrack, stature_m: float) -> tuple[str, ...]:
+    skeleton = get_skeleton(track.skeleton)
+    hips = skeleton.point(np.asarray(track.position), "pelvis")[:, 1]
+    known = hips[np.isfinite(hips)]
+    if known.size and np.percentile(known, 90) < SEATED_SHARE * stature_m:
+        return ("seated",)
+    return ()
+
+
+def _notes(
+    track: PoseTrack,
+    hands: Hands,
+    move: Move,
+    scene: WorldScene,
+    stature_m: float,
+    max_hand_separation_m: float,
+) -> list[str]:
+    """Return the conditions of one lift that touch the validity of risk methods."""
+    skeleton = get_skeleton(track.skeleton)
+    position = np.asarray(track.position)
+    part = slice(move.start, move.end + 1)
+    along = _view_direction(scene)
+    notes = []
+    ankle = skeleton.point(position, "mid_ankle")[part]
+    if _across(ankle[-1] - ankle[0], along) > WALK_M:
+        notes.append("walking")
+    knees = [skeleton.point(position, f"{s}_knee")[part, 1] for s in ("left", "right")]
+    if np.nanmin(np.array(knees)) < KNEELING_SHARE * stature_m:
+        notes.append("kneeling")
+    apart = np.array([_across(v, along) for v in hands.left[part] - hands.right[part]])
+    if np.isfinite(apart).any() and np.nanmedian(apart) > max_hand_separation_m:
+        notes.append("one_handed")
+    turn = _foot_turn_deg(track, move)
+    if turn > PIVOT_DEG + 2 * scene.heading_sigma_deg:
+        notes.append("pivot")
+    return notes
+
+
+def _across(vector: Array, along: Array) -> float:
+    """Return the length of a vector without its part along the line of sight."""
+    return float(np.linalg.norm(vector - (vector @ along) * along))
+
+
+def _foot_turn_deg(track: PoseTrack, move: Move) -> float:
+    """Return by how much the feet turned from lift-off to set-down, degrees."""
+    directions = [_foot_direction(track, k) for k in (move.start, move.end)]
+    if not all(np.isfinite(d).all() for d in directions):
+        return 0.0
+    cosine = float(np.clip(directions[0] @ directions[1], -1.0, 1.0))
+    return float(np.degrees(np.arccos(cosine)))
+
+
+def _foot_direction(track: PoseTrack, frame: int) -> Array:
+    """Return the mean heel-to-toe direction within a quarter of a second, horizontal, (3,)."""
+    skeleton = get_skeleton(track.skeleton)
+    near = np.abs(track.time_s - track.time_s[frame]) <= 0.25
+    position = np.asarray(track.position)[near]
+    total = np.zeros(3)
+    for side in ("left", "right"):
+        foot = skeleton.point(position, f"{side}_big_toe") - skeleton.point(
+            position, f"{side}_heel"
+        )
+        known = foot[np.isfinite(foot).all(axis=1)]
+        if len(known):
+            total += np.median(known, axis=0) * [1.0, 0.0, 1.0]
+    length = np.linalg.norm(total)
+    return total / length if length > 1e-6 else np.full(3, np.nan)
+
+
+def _measure_lift(
+    track: PoseTrack,
+    angles: JointAngles,
+    hands: Hands,
+    scene: WorldScene,
+    move: Move,
+    moves: list[Move],
+    notes: tuple[str, ...],
+    rate_hz: float,
+) -> Lift:
+    time_s = np.asarray(track.time_s)
+    forward = None
+    if "pivot" in notes:
+        forward = _foot_direction(track, move.end)
+    origin = measure_end(track, hands, scene, at_s=float(time_s[move.start]))
+    destination = measure_end(track, hands, scene, at_s=float(time_s[move.end]), forward=forward)
+    # What both ends share (floor, scale) cancels in the difference.
+    travel = abs(destination.V_cm.value - origin.V_cm.value)
+    travel_sigma = np.hypot(
+        100 * np.sqrt(2) * np.nan_to_num(scene.plane_sigma_m), scene.scale_sigma * travel
+    )
+    part = slice(move.start, move.end + 1)
+    before = [m for m in moves if m.end <= move.start]
+    after = [m for m in moves if m.start >= move.end]
+    peak_speed = float(np.nanmax(hands.speed[part]))
+    return Lift(
+        start_s=float(time_s[move.start]),
+        end_s=float(time_s[move.end]),
+        origin=origin,
+        destination=destination,
+        D_cm=Measurement(travel, float(travel_sigma)),
+        peak_hand_speed_m_s=peak_speed,
+        peak_trunk_velocity_deg_s=_peak_trunk_velocity(angles, part),
+        hands=1 if "one_handed" in notes else 2,
+        reach_start_s=float(time_s[before[-1].start]) if before else float("nan"),
+        return_end_s=float(time_s[after[0].end]) if after else float("nan"),
+        start_sigma_s=_crossing_sigma(time_s, hands.speed, move.start, move.peak, rate_hz),
+        end_sigma_s=_crossing_sigma(time_s, hands.speed, move.end, move.peak, rate_hz),
+        notes=tuple(notes),
+    )
+
+
+def _peak_trunk_velocity(angles: JointAngles, part: slice) -> float:
+    flexion = angles["trunk_flexion"]
+    if len(flexion) < 2:
+        return float("nan")
+    velocity = np.abs(np.gradient(flexion, angles.time_s))[part]
+    return float(np.nanmax(velocity)) if np.isfinite(velocity).any() else float("nan")
+
+
+def _crossing_sigma(time_s: Array, speed: Array, crossing: int, peak: int, rate_hz: float) -> float:
+    """Return the standard error of a threshold crossing: speed noise over slope, and the frame."""
+    noise = float(np.nanpercentile(speed, 10))
+    toward = crossing + (3 if peak > crossing else -3)
+    toward = int(np.clip(toward, 0, len(speed) - 1))
+    step = abs(time_s[toward] - time_s[crossing]) or 1.0 / rate_hz
+    slope = abs(speed[toward] - speed[crossing]) / step
+    crossing_error = noise / slope if slope > 1e-6 else 0.5
+    return float(min(np.hypot(crossing_error, 1.0 / (rate_hz * np.sqrt(12))), 0.5))

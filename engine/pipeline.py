@@ -1,0 +1,259 @@
+"""The order of the steps; the only module that knows it."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from engine.cameras.monocular import reconstruct_single_view
+from engine.config import Config
+from engine.correction.chain import correct_track, summarise_status
+from engine.datatypes import (
+    JointAngles,
+    PoseTrack,
+    ProgressCallback,
+    Trial,
+    TrialResult,
+    View,
+    ViewPose,
+    WorldScene,
+    ignore_progress,
+)
+from engine.ergonomics.assess import assess_risk
+from engine.ergonomics.base import Exposure, select_methods
+from engine.ergonomics.flags import raise_flags
+from engine.errors import ConfigError
+from engine.kinematics.events import LiftFindings, detect_lifts
+from engine.kinematics.fitting.base import add_scene_errors, select_solver
+from engine.pose.base import create_backend
+from engine.storage.results import check_target, write_result
+from engine.subject.detector import PersonDetector
+from engine.subject.tracker import follow_person
+from engine.version import __version__, list_versions
+from engine.video.overlay import write_overlay
+from engine.video.reader import probe_video, read_frames
+from engine.video.thumbnail import write_thumbnail
+
+__all__ = ["assess", "assess_to_folder"]
+
+
+def assess(
+    trial: Trial, config: Config | None = None, progress: ProgressCallback = ignore_progress
+) -> TrialResult:
+    """Assess one trial: from video to lifts, risk and flags.
+
+    Parameters
+    ----------
+    trial
+        The video, the person and the task.
+    config
+        Settings; the defaults if None.
+    progress
+        Called as ``progress(stage, done, total)``; may raise `Cancelled`.
+
+    Returns
+    -------
+    TrialResult
+        Nothing is written.
+
+    Raises
+    ------
+    ConfigError
+        If a setting can't be followed.
+    VideoError
+        If the video can't be used.
+    NoPersonFound
+        If there is nobody to measure.
+    BackendUnavailable
+        If the estimator or a part of it is missing.
+    """
+    config = config or Config()
+    if len(trial.views) != 1:
+        raise ConfigError("Assessing two views together is not available yet; give one video.")
+    # Wrong names fail before the long work, not after it.
+    solver = select_solver(config.kinematics.solver)
+    select_methods(config.risk.methods, experimental=config.risk.experimental)
+    timings: dict[str, float] = {}
+    with _timed(timings, "pose"):
+        pose = estimate_view(trial.views[0], config, progress)
+    timings["networks"] = pose.model_time_s
+    with _timed(timings, "reconstruction"):
+        raw, scene = reconstruct_single_view(
+            pose,
+            trial.subject.stature,
+            matrix=trial.views[0].camera.matrix if trial.views[0].camera else None,
+            **dataclasses.asdict(config.camera),
+        )
+    with _timed(timings, "correction"):
+        corrected = correct_track(raw, **dataclasses.asdict(config.correction))
+    with _timed(timings, "kinematics"):
+        angles = add_scene_errors(solver.fit(corrected, trial.subject), scene)
+        findings = _find_lifts(trial, raw, angles, scene, config)
+    with _timed(timings, "risk"):
+        exposure = Exposure(
+            track=corrected,
+            angles=angles,
+            lifts=findings.lifts,
+            subject=trial.subject,
+            task=trial.task,
+            observed_s=float(corrected.time_s[-1] - corrected.time_s[0]),
+            conditions=findings.conditions,
+        )
+        risk = assess_risk(
+            exposure, methods=config.risk.methods, experimental=config.risk.experimental
+        )
+        coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
+        flags = raise_flags(risk, findings.lifts, coverage)
+    return TrialResult(
+        trial=trial,
+        views=(pose,),
+        raw=raw,
+        corrected=corrected,
+        scene=scene,
+        angles=angles,
+        lifts=findings.lifts,
+        risk=risk,
+        flags=flags,
+        warnings=(*_warn(trial, pose, scene), *findings.warnings),
+        config=config.as_dict(),
+        backend=config.pose.backend,
+        solver=config.kinematics.solver,
+        versions={"liftlens": __version__, "python": platform.python_version(), **list_versions()},
+        timings_s=timings,
+        coverage=coverage,
+    )
+
+
+MEASURED_KEYPOINTS = tuple(
+    f"{side}_{part}"
+    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "heel", "big_toe")
+    for side in ("left", "right")
+)
+"""The joints that coverage is counted over; fingers and face hardly enter the assessment."""
+
+
+def estimate_view(view: View, config: Config, progress: ProgressCallback) -> ViewPose:
+    """Read one video, follow the person and estimate the pose, in one pass over the pictures."""
+    info = probe_video(view.path)
+    backend = create_backend(config.pose)
+    detector = PersonDetector(threads=config.pose.threads)
+    frames = read_frames(view.path, start_s=config.video.start_s, stop_s=config.video.stop_s)
+    tracked = follow_person(frames, detector, **dataclasses.asdict(config.subject))
+    pose = backend.estimate(tracked, info, progress)
+    return dataclasses.replace(pose, model_time_s=pose.model_time_s + detector.model_time_s)
+
+
+def _find_lifts(
+    trial: Trial, raw: PoseTrack, angles: JointAngles, scene: WorldScene, config: Config
+) -> LiftFindings:
+    # A hand hidden behind the body or the load still has to be somewhere: the estimator's guess
+    # is used here, with a wide error, while joint angles leave it out.
+    settings = dataclasses.asdict(config.correction) | {"min_confidence": 0.0}
+    if settings["preset"] == "none":
+        settings["preset"] = "default"
+    return detect_lifts(
+        correct_track(raw, **settings),
+        angles,
+        scene,
+        stature_m=trial.subject.stature.value,
+        sex=trial.subject.sex,
+        **dataclasses.asdict(config.events),
+    )
+
+
+def _warn(trial: Trial, pose: ViewPose, scene: WorldScene) -> Iterator[str]:
+    """Say in plain words what makes this assessment less certain."""
+    if trial.subject.stature_m is None:
+        yield (
+            f"Stature not given: {trial.subject.stature.value:.2f} m assumed, so all lengths are "
+            f"uncertain by about {100 * scene.scale_sigma:.0f} %. Give the stature."
+        )
+    if not scene.provenance.get("upright_frames"):
+        yield (
+            "The person never stands upright in the video, so scale and floor are uncertain by "
+            f"about {100 * scene.scale_sigma:.0f} %. Film a second of upright standing."
+        )
+    lost = int(np.isnan(pose.box).any(axis=1).sum())
+    if lost:
+        yield (
+            f"The person was not seen in {lost} of {pose.image.n_frames} pictures; nothing is "
+            "filled in there."
+        )
+    if pose.info.n_missing_frames:
+        yield (
+            f"The video is cut off: {pose.info.n_missing_frames} pictures that it announces are "
+            "not in it. Only what is there was assessed."
+        )
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - start
+
+
+def assess_to_folder(
+    trial: Trial,
+    config: Config,
+    folder: Path,
+    progress: ProgressCallback = ignore_progress,
+) -> Path:
+    """Assess one trial and write its result folder, annotated video included.
+
+    Parameters
+    ----------
+    trial, config, progress
+        As in `assess`.
+    folder
+        Where to write; complete or not at all.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    OutputError
+        If the folder can't be written.
+    """
+    folder = check_target(folder)
+    result = assess(trial, config, progress)
+    scratch = Path(tempfile.mkdtemp(prefix=".liftlens-", dir=folder.parent))
+    try:
+        overlay = thumbnail = None
+        if config.output.overlay:
+            with _timed(dict(result.timings_s), "overlay"):
+                overlay = scratch / "overlay.mp4"
+                write_overlay(
+                    trial.views[0].path,
+                    result.views[0],
+                    overlay,
+                    blur_heads=config.output.blur_heads,
+                    lifts=result.lifts,
+                    start_s=config.video.start_s,
+                    stop_s=config.video.stop_s,
+                    progress=progress,
+                )
+            thumbnail = write_thumbnail(
+                overlay, scratch / "thumbnail.jpg", at_s=_telling_moment(result)
+            )
+        return write_result(result, folder, overlay=overlay, thumbnail=thumbnail)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _telling_moment(result: TrialResult) -> float:
+    """Return when the first load leaves its place, or the middle, in the overlay's time."""
+    time_s = result.corrected.time_s
+    moment = result.lifts[0].start_s if result.lifts else float(time_s[len(time_s) // 2])
+    return max(0.0, moment - float(time_s[0]))
