@@ -6,6 +6,7 @@ and its probability of a person stays near 1. The boxes of the person detector t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array, PersonBox
 
-__all__ = ["agrees_with_box", "bound_landmarks", "interpolate_box"]
+__all__ = ["agrees_with_box", "bound_landmarks", "compute_box_iou", "interpolate_box"]
 
 MIN_CONFIDENCE: Final = 0.5
 """Landmarks below this are guesses of hidden or missing parts and say nothing of the place."""
@@ -66,10 +67,10 @@ def agrees_with_box(
     hull = bound_landmarks(points, confidence)
     if hull is None:
         return False
-    own = _iou(hull, box)
+    own = compute_box_iou(_as_box(hull), box)
     if own < (STRICT_IOU if is_observed else LOOSE_IOU):
         return False
-    if any(_iou(hull, other) > own for other in others):
+    if any(compute_box_iou(_as_box(hull), other) > own for other in others):
         return False
     return not is_observed or _share_inside(points, confidence, box) >= MIN_SHARE_INSIDE
 
@@ -100,9 +101,15 @@ def _share_inside(points: Array, confidence: Array, box: PersonBox) -> float:
     return float(((sure >= low) & (sure <= high)).all(axis=1).mean())
 
 
-def _iou(hull: Array, box: PersonBox) -> float:
-    width = min(hull[2], box.right) - max(hull[0], box.left)
-    height = min(hull[3], box.bottom) - max(hull[1], box.top)
+def compute_box_iou(a: PersonBox, b: PersonBox) -> float:
+    """Return the intersection over union of two boxes, 0 to 1."""
+    width = min(a.right, b.right) - max(a.left, b.left)
+    height = min(a.bottom, b.bottom) - max(a.top, b.top)
     inter = max(width, 0.0) * max(height, 0.0)
-    union = (hull[2] - hull[0]) * (hull[3] - hull[1]) + box.size_px[0] * box.size_px[1] - inter
-    return float(inter / union) if union > 0 else 0.0
+    union = math.prod(a.size_px) + math.prod(b.size_px) - inter
+    return inter / union if union > 0 else 0.0
+
+
+def _as_box(hull: Array) -> PersonBox:
+    left, top, right, bottom = hull.tolist()
+    return PersonBox(left=left, top=top, right=right, bottom=bottom)

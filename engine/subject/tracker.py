@@ -14,13 +14,15 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.datatypes import Frame, PersonBox, SubjectState, TrackedFrame
+from engine.datatypes import Array, Frame, PersonBox, SubjectState, TrackedFrame
 from engine.errors import NoPersonFound
+from engine.subject.appearance import compare_appearance, describe_appearance
 
 __all__ = [
     "PersonTracker",
@@ -33,9 +35,17 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 Detector = Callable[[NDArray[np.uint8]], Sequence[PersonBox]]
+Describer = Callable[[PersonBox], Array]
+"""Returns what the person in a box of the current frame looks like."""
 
 GATE_IOU: Final = 0.1
 GATE_AREA_RATIO: Final = 2.0
+NEAR_GATE_IOU: Final = 0.7
+NEAR_GATE_DECAY: Final = 0.02
+"""With somebody near, the next box must overlap the expected one this much (less by so much per
+frame on hold): boxes around both persons or around the other one overlap it too."""
+WEAK_IOU: Final = 0.7
+"""A box that lies where it is expected counts with less confidence too."""
 SURE_CONFIDENCE: Final = 0.5
 SURE_IOU: Final = 0.5
 OTHER_THRESHOLD: Final = 0.4
@@ -44,9 +54,19 @@ PART_SHARE: Final = 0.7
 """A box that lies this much inside the followed one is taken for a part of it."""
 CLAIM_IOU: Final = 0.3
 NEAR_MARGIN: Final = 1.5
-DAMPING: Final = 0.9
+COVERED_IOU: Final = 0.2
+"""Overlap from which one person may hide the other, so that their boxes may be exchanged."""
+APART_IOU: Final = 0.05
+MAX_MISSED: Final = 4
+"""Looks without a bystander whom the followed person can't hide."""
+LOOKS_MARGIN: Final = 0.06
+"""By how much an exchange must fit the looks of both persons better than none."""
+LOOKS_GAIN: Final = 0.3
+DAMPING: Final = 0.95
 """Of the velocity per frame that is predicted: nobody keeps going for long."""
 VELOCITY_GAIN: Final = 0.5
+NEAR_VELOCITY_GAIN: Final = 0.1
+"""Boxes of people who cover each other jump; how people went before tells where they come out."""
 LOST_GROWTH: Final = 0.02
 """Growth per frame of the neighbourhood in which a lost person is sought, in box diagonals."""
 SEARCH_EVERY: Final = 3
@@ -136,8 +156,14 @@ class _Motion:
     velocity: tuple[float, float] = (0.0, 0.0)
     age: int = 0
     """Frames since the last observation."""
+    n_missed: int = 0
+    """Looks since the last observation."""
     may_be_subject: bool = False
     """Whether this bystander appeared while the followed person was lost."""
+    looks: Array | None = None
+    """Appearance, learnt while nobody was near."""
+    was_covered: bool = False
+    """Whether this bystander and the followed person overlapped since they were told apart."""
     observed: PersonBox = field(init=False)
 
     def __post_init__(self) -> None:
@@ -156,17 +182,26 @@ class _Motion:
         self.velocity = (vx * DAMPING, vy * DAMPING)
         self.age += 1
 
-    def observe(self, box: PersonBox) -> None:
-        """Take an observation of the current frame (after `advance`)."""
+    def observe(self, box: PersonBox, *, gain: float = VELOCITY_GAIN) -> None:
+        """Take an observation of the current frame (after `advance`).
+
+        `gain` is the weight of the newest displacement in the velocity.
+        """
         frames = max(self.age, 1)
         (x0, y0), (x1, y1) = _centre(self.observed), _centre(box)
-        gain = VELOCITY_GAIN
         self.velocity = (
             (1 - gain) * self.velocity[0] + gain * (x1 - x0) / frames,
             (1 - gain) * self.velocity[1] + gain * (y1 - y0) / frames,
         )
         self.box = self.observed = box
-        self.age = 0
+        self.age = self.n_missed = 0
+
+    def learn(self, looks: Array) -> None:
+        """Take the appearance of the box just observed."""
+        if not np.isfinite(looks).all():
+            return
+        old = looks if self.looks is None else self.looks
+        self.looks = (1 - LOOKS_GAIN) * old + LOOKS_GAIN * looks
 
 
 class PersonTracker:
@@ -242,13 +277,17 @@ class PersonTracker:
             m.box if m.age == 0 else replace(m.box, state=SubjectState.HELD) for m in self._others
         )
 
-    def step(self, persons: Sequence[PersonBox] | None) -> PersonBox | None:
+    def step(
+        self, persons: Sequence[PersonBox] | None, describe: Describer | None = None
+    ) -> PersonBox | None:
         """Go one frame on.
 
         Parameters
         ----------
         persons
             Everybody the detector saw in this frame; None if it did not look.
+        describe
+            Tells what a person looks like; without it, only places tell persons apart.
 
         Returns
         -------
@@ -260,6 +299,8 @@ class PersonTracker:
         self._until_look -= 1
         if persons is not None:
             self._look(persons)
+            if describe is not None:
+                self._tell_apart(describe)
             self._plan_next_look()
         elif self._state is SubjectState.INIT:
             self._state = SubjectState.TRACKED
@@ -324,14 +365,22 @@ class PersonTracker:
             iou_weight=self._iou_weight,
             score=self._score,
         )
+        if chosen is None and not is_literal:
+            chosen = self._select_weak(free)
         if chosen is not None and self._passes_gate(chosen):
-            motion.observe(chosen)
+            motion.observe(chosen, gain=self._velocity_gain)
             self._state = SubjectState.TRACKED
             self._is_tentative = self._is_tentative and chosen.confidence < SURE_CONFIDENCE
         else:
             self._hold()
         if self._is_tentative:
             self._prefer_certain(persons)
+
+    def _select_weak(self, free: Sequence[PersonBox]) -> PersonBox | None:
+        assert self._motion is not None
+        expected = self._motion.box
+        in_place = [p for p in free if compute_iou(expected, p) >= WEAK_IOU]
+        return select_next(in_place, expected, threshold=self._first["floor"])
 
     def _hold(self) -> None:
         """Keep the unseen person's box moving, for a while."""
@@ -351,7 +400,11 @@ class PersonTracker:
     def _passes_gate(self, box: PersonBox) -> bool:
         """Whether a box can be the followed person after the time that passed."""
         assert self._motion is not None
-        if compute_iou(self._motion.box, box) >= GATE_IOU:
+        iou = compute_iou(self._motion.box, box)
+        if self._is_somebody_near():
+            held = self._frames_held if self._state is SubjectState.HELD else 0
+            return iou >= NEAR_GATE_IOU - NEAR_GATE_DECAY * held
+        if iou >= GATE_IOU:
             return True
         ratio = _area(box) / max(_area(self._motion.observed), 1e-9)
         is_alike = 1 / GATE_AREA_RATIO <= ratio <= GATE_AREA_RATIO
@@ -385,9 +438,11 @@ class PersonTracker:
         for iou, t, i in pairs:
             if iou >= CLAIM_IOU and i not in owner and tracks[t] not in owner.values():
                 owner[i] = tracks[t]
+        for track in self._others:
+            track.n_missed += 1
         for i, track in owner.items():
             if track is not self._motion:
-                track.observe(persons[i])
+                track.observe(persons[i], gain=self._velocity_gain)
         strangers = {i for i, t in owner.items() if t is not self._motion and not t.may_be_subject}
         return [p for i, p in enumerate(persons) if i not in strangers]
 
@@ -407,9 +462,57 @@ class PersonTracker:
                 self._others.append(_Motion(person, may_be_subject=is_lost))
                 known.append(person)
 
+    def _tell_apart(self, describe: Describer) -> None:
+        """Learn what everybody looks like; after one covered another, check who is who."""
+        own = self._motion
+        if own is None or own.age > 0 or self._state is SubjectState.LOST:
+            return
+        seen = [m for m in self._others if m.age == 0]
+        overlaps = [compute_iou(own.box, m.box) for m in self._others]
+        for other, overlap in zip(self._others, overlaps, strict=True):
+            other.was_covered = other.was_covered or overlap > COVERED_IOU
+        exchanged = next((m for m in seen if self._looks_exchanged(m, describe)), None)
+        if exchanged is not None:
+            self._exchange(exchanged)
+        elif not any(m.was_covered for m in self._others):
+            own.learn(describe(own.box))
+            for other in seen:
+                other.learn(describe(other.box))
+
+    def _looks_exchanged(self, other: _Motion, describe: Describer) -> bool:
+        """Whether the followed person, apart again, looks like the other one did before."""
+        own = self._motion
+        assert own is not None
+        if not other.was_covered or compute_iou(own.box, other.box) > APART_IOU:
+            return False
+        other.was_covered = False
+        if own.looks is None or other.looks is None:
+            return False
+        now_own, now_other = describe(own.box), describe(other.box)
+        kept = compare_appearance(own.looks, now_own) + compare_appearance(other.looks, now_other)
+        swapped = compare_appearance(own.looks, now_other) + compare_appearance(
+            other.looks, now_own
+        )
+        return swapped > kept + LOOKS_MARGIN
+
+    def _exchange(self, other: _Motion) -> None:
+        own = self._motion
+        assert own is not None
+        own.looks, other.looks = other.looks, own.looks
+        self._others = [own if m is other else m for m in self._others]
+        self._motion = other
+        logger.info("The followed person's box was taken back from somebody who passed.")
+
     def _forget_others(self) -> None:
+        """Drop bystanders who were not seen for long, sooner where nothing can hide them."""
         limit = self._hold_frames + self._detect_every
-        self._others = [m for m in self._others if m.age <= limit]
+        own = None if self._motion is None else self._motion.box
+        self._others = [
+            m
+            for m in self._others
+            if m.age <= limit
+            and (m.n_missed <= MAX_MISSED or (own and compute_iou(own, m.box) > APART_IOU))
+        ]
 
     def _plan_next_look(self) -> None:
         if self._motion is None or self._state is SubjectState.LOST:
@@ -421,7 +524,7 @@ class PersonTracker:
         else:
             self._interval *= 2
         self._interval = min(self._interval, self._detect_every)
-        self._until_look = self._interval
+        self._until_look = self._interval - 1
 
     def _is_sure(self) -> bool:
         """Whether the last look left no doubt; the first look after a start counts as sure."""
@@ -431,6 +534,10 @@ class PersonTracker:
             return False
         is_first = self._state is SubjectState.INIT
         return box.confidence >= SURE_CONFIDENCE and (is_first or box.iou >= SURE_IOU)
+
+    @property
+    def _velocity_gain(self) -> float:
+        return NEAR_VELOCITY_GAIN if self._is_somebody_near() else VELOCITY_GAIN
 
     def _is_somebody_near(self) -> bool:
         assert self._motion is not None
@@ -499,7 +606,10 @@ def follow_person(
     for frame in frames:
         n_frames += 1
         is_anchor = tracker.wants_look
-        followed = tracker.step(detector(frame.image) if is_anchor else None)
+        followed = tracker.step(
+            detector(frame.image) if is_anchor else None,
+            partial(describe_appearance, frame.image),
+        )
         yield TrackedFrame(frame=frame, box=followed, is_anchor=is_anchor, others=tracker.others)
     if not tracker.was_found:
         raise NoPersonFound(

@@ -21,7 +21,12 @@ from engine.datatypes import (
     ViewPose,
 )
 from engine.errors import NoPersonFound
-from engine.pose.association import agrees_with_box, bound_landmarks, interpolate_box
+from engine.pose.association import (
+    agrees_with_box,
+    bound_landmarks,
+    compute_box_iou,
+    interpolate_box,
+)
 from engine.pose.base import BackendInfo
 from engine.pose.blazepose import (
     N_LANDMARKS,
@@ -48,6 +53,8 @@ SEARCH_MARGIN: Final = 1.25
 """How much larger than the person's box the square is in which BlazePose starts."""
 BOX_MARGIN: Final = 0.06
 """What the landmarks leave out of a body (hair, hands, soles), as a share of its larger side."""
+EXCHANGE_IOU: Final = 0.2
+"""A box that jumps further from one frame to the next is another person's."""
 LEFT_HIP, RIGHT_HIP = MEDIAPIPE_33.index("left_hip"), MEDIAPIPE_33.index("right_hip")
 
 
@@ -144,6 +151,21 @@ class _Record:
             self.image[row] = np.full((N_LANDMARKS, 2), np.nan)
             self.body[row] = np.full((N_LANDMARKS, 3), np.nan)
 
+    def rows_of_overlap(self, row: int) -> list[int]:
+        """Return the rows before `row` since the followed person last met somebody."""
+        rows: list[int] = []
+        has_met = False
+        for before in range(row - 1, -1, -1):
+            box = self.box[before]
+            is_together = box is not None and any(
+                compute_box_iou(box, other) > 0 for other in self.others[before]
+            )
+            if has_met and not is_together:
+                return rows
+            has_met = has_met or is_together
+            rows.append(before)
+        return rows if has_met else []
+
     @property
     def has_landmarks(self) -> bool:
         return any(np.isfinite(points).any() for points in self.image)
@@ -189,6 +211,7 @@ class _AssociatedFollower:
     def __init__(self, follower: PoseFollower) -> None:
         self._follower = follower
         self._last_good: tuple[int, PersonBox] | None = None
+        self._last_box: PersonBox | None = None
 
     def see(self, tracked: TrackedFrame, record: _Record) -> list[int]:
         """Estimate one frame and record it.
@@ -199,7 +222,8 @@ class _AssociatedFollower:
             Rows of the record that turned out to show somebody else.
         """
         row = len(record.time_s)
-        box = tracked.box
+        box, before = tracked.box, self._last_box
+        self._last_box = box
         if box is None:
             self._follower.restart()
             self._last_good = None
@@ -211,7 +235,11 @@ class _AssociatedFollower:
         if had_slipped:
             landmarks = self._start_again(tracked, box, is_observed)
         record.add(tracked, landmarks)
-        suspects = self._find_suspects(record, row, box) if had_slipped and is_observed else []
+        suspects: list[int] = []
+        if had_slipped and is_observed:
+            was_exchanged = before is not None and compute_box_iou(before, box) < EXCHANGE_IOU
+            suspects = record.rows_of_overlap(row) if was_exchanged else []
+            suspects = suspects or self._find_suspects(record, row, box)
         if is_observed:
             self._last_good = None if landmarks is None else (row, box)
         return suspects
