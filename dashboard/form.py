@@ -172,9 +172,15 @@ def ask_person() -> None:
     """Ask who was filmed."""
     first, second = st.columns(2)
     with first:
-        _text("subject", "Pseudonym of the person", placeholder="P01")
+        _text("subject", "Pseudonym of the person", placeholder="for example P01")
     with second:
-        _number("stature_m", "Body height (m)", step=0.01, placeholder="1.75", help_key="stature")
+        _number(
+            "stature_m",
+            "Body height (m)",
+            step=0.01,
+            placeholder="for example 1.75",
+            help_key="stature",
+        )
     first, second = st.columns(2)
     with first:
         _choice("sex", "Sex", {"female": "Female", "male": "Male"})
@@ -184,20 +190,20 @@ def ask_person() -> None:
 
 def ask_task() -> None:
     """Ask what the camera can't see of the work."""
-    _text("label", "Name of the trial", placeholder="Crate to shelf")
+    _text("label", "Name of the trial", placeholder="for example crate to shelf")
     first, second = st.columns(2)
     with first:
-        _number("load_kg", "Load (kg)", step=0.5, placeholder="12", help_key="load")
+        _number("load_kg", "Load (kg)", step=0.5, placeholder="for example 12", help_key="load")
     with second:
         _choice("hands", "Hands on the load", {2: "Both", 1: "One"})
     _coupling()
     first, second, third = st.columns(3)
     with first:
-        _number("frequency_per_min", "Lifts per minute", 0.5, "1", "frequency", decimals=1)
+        _number("frequency_per_min", "Lifts per minute", 0.5, "for example 1", "frequency")
     with second:
-        _number("duration_h", "Lifting lasts (h)", 0.5, "2", "duration", decimals=1)
+        _number("duration_h", "Lifting lasts (h)", 0.5, "for example 2", "duration")
     with third:
-        _number("recovery_h", "Light work after it (h)", 0.5, "1", "recovery", decimals=1)
+        _number("recovery_h", "Light work after it (h)", 0.5, "for example 1", "recovery")
     _choice(
         "destination_control",
         "Must the load be placed with care?",
@@ -223,15 +229,13 @@ def _number(
     step: float,
     placeholder: str,
     help_key: str,
-    decimals: int | None = None,
 ) -> None:
-    digits = decimals if decimals is not None else (2 if step < 0.1 else 1 if step < 1 else 0)
     start = state.initial_value(field)
     st.number_input(
         label,
         value=None if start is None else float(start),
         step=step,
-        format=f"%.{digits}f",
+        format="%.4g",
         placeholder=placeholder,
         key=state.field_key(field),
         help=HELP[help_key],

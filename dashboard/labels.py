@@ -207,6 +207,12 @@ def format_window(start_s: float, end_s: float) -> str:
     return f"{start_s:.1f} s to {end_s:.1f} s"
 
 
+def typeset(text: str) -> str:
+    """Return plain-text arithmetic with its true signs."""
+    text = text.replace(" -> ", " → ").replace(" x ", " × ").replace("(x ", "(× ")
+    return text.replace(" - ", " − ").replace(" deg", "°")
+
+
 def sentence(text: str) -> str:
     """Return a reason as a sentence."""
     text = text.strip()

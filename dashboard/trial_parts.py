@@ -59,7 +59,7 @@ def _verdict_html(flag: Flag | None, risk: RiskResult | None) -> str:
     if flag is None:
         text = "<h3>No flag was raised</h3><p>Nothing in this video could be judged.</p>"
     else:
-        text = f"<h3>{escape(flag.what)}</h3><p>{escape(flag.why)}</p>{_origin_html(flag)}"
+        text = f"<h3>{_words(flag.what)}</h3><p>{_words(flag.why)}</p>{_origin_html(flag)}"
         text += _change_html(flag)
     return (
         f'<section class="ll-verdict ll-tone-{label.css}" aria-label="Verdict">'
@@ -67,10 +67,14 @@ def _verdict_html(flag: Flag | None, risk: RiskResult | None) -> str:
     )
 
 
+def _words(text: str) -> str:
+    return escape(labels.typeset(text))
+
+
 def _change_html(flag: Flag) -> str:
     if not flag.change:
         return ""
-    return f'<p class="ll-change"><b>What would change it</b><br>{escape(flag.change)}</p>'
+    return f'<p class="ll-change"><b>What would change it</b><br>{_words(flag.change)}</p>'
 
 
 def _origin_html(flag: Flag) -> str:
@@ -94,10 +98,10 @@ def _score_html(risk: RiskResult | None) -> str:
 
 
 def _flag_html(flag: Flag) -> str:
-    change = f"<p>{escape(flag.change)}</p>" if flag.change else ""
+    change = f"<p>{_words(flag.change)}</p>" if flag.change else ""
     return (
         f'<div class="ll-flag"><div>{chip_html(level_label(flag.level))}</div>'
-        f"<div><b>{escape(flag.what)}</b><p>{escape(flag.why)}</p>{change}{_origin_html(flag)}"
+        f"<div><b>{_words(flag.what)}</b><p>{_words(flag.why)}</p>{change}{_origin_html(flag)}"
         "</div></div>"
     )
 
@@ -206,7 +210,7 @@ def show_equation(result: StoredResult) -> None:
             st.markdown("**Keep in mind**")
             st.html(list_html(map(labels.sentence, risk.reasons)))
     with st.expander("The calculation, step by step", icon=":material/calculate:"):
-        st.html(list_html(risk.steps, "ll-steps", "ol"))
+        st.html(list_html(map(labels.typeset, risk.steps), "ll-steps", "ol"))
     with st.expander("What went in, and where it comes from", icon=":material/input:"):
         st.html(table_html((("Input", ""), ("Value", ""), ("Source", "")), _input_rows(risk)))
     st.caption(risk.reference)
@@ -322,9 +326,14 @@ def show_provenance(result: StoredResult) -> None:
         ("Joint angles by", document["solver"]),
         ("Correction", document["config"].get("correction", {}).get("preset", "")),
         ("LiftLens", document["liftlens_version"]),
-        ("Computing time", labels.format_span(sum(t or 0 for t in document["timings_s"].values()))),
+        ("Computing time", labels.format_span(_computing_time_s(document["timings_s"]))),
     )
     st.html(table_html((("How it was made", ""), ("", "")), rows, css="ll-plain"))
+
+
+def _computing_time_s(timings_s: Mapping[str, float | None]) -> float:
+    """Return the time of all stages; that of the networks is a part of the pose's."""
+    return sum(t or 0.0 for stage, t in timings_s.items() if stage != "networks")
 
 
 def show_downloads(result: StoredResult) -> None:

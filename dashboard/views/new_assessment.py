@@ -10,7 +10,8 @@ if job_id := state.job_id():
     status = queue.read(job_id)
     if status.trial_id:
         st.switch_page(pages.TRIAL, query_params=state.trial_parameters(status.trial_id))
-    follow(queue, status)
+    with st.container(width=form.WIDTH_PX):
+        follow(queue, status)
     st.stop()
 
 with st.container(width=form.WIDTH_PX):

@@ -36,6 +36,8 @@ Assess = Callable[[Trial, Config, Path, ProgressCallback], Path]
 """Like `engine.pipeline.assess_to_folder`: writes a whole result folder or none."""
 
 REPORT_EVERY_S = 0.2
+STAGE_SPANS: dict[str, tuple[float, float]] = {"pose": (0.02, 0.85), "overlay": (0.9, 0.99)}
+"""Which part of the whole job a stage usually takes; stages that take no time are not listed."""
 UNEXPECTED_EXIT_CODE = 1
 
 
@@ -54,7 +56,13 @@ class _Reporter:
         self._last_s = now
         if (self.folder / "cancel").exists():
             raise Cancelled("The assessment was cancelled; nothing was kept.")
-        self.status = replace(self.status, stage=stage, done=done, total=total)
+        self.status = replace(
+            self.status,
+            stage=stage,
+            done=done,
+            total=total,
+            fraction=max(self.status.fraction, find_fraction(stage, done, total)),
+        )
         write_state(self.folder, self.status)
 
     def end(self, state: JobState, *, exit_code: int, message: str = "") -> None:
@@ -95,6 +103,12 @@ def main(
         exit_code = _run(folder, reporter, assess or _assess)
     JobQueue(Library(folder.parent.parent), command=command).advance()
     return exit_code
+
+
+def find_fraction(stage: str, done: int, total: int) -> float:
+    """Return how much of the whole job is done, 0 to 1; 0 where a stage says nothing of it."""
+    start, end = STAGE_SPANS.get(stage, (0.0, 0.0))
+    return start + (end - start) * min(1.0, done / total) if total > 0 else start
 
 
 def _assess(trial: Trial, config: Config, folder: Path, progress: ProgressCallback) -> Path:

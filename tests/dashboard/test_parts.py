@@ -73,6 +73,11 @@ def test_the_side_a_person_was_filmed_from_is_named(azimuth, start):
     assert labels.name_view(math.nan) == "unknown"
 
 
+def test_arithmetic_is_typeset():
+    assert labels.typeset("23 x 0.5 - 1 -> 4 deg (x 0.7)") == "23 × 0.5 − 1 → 4° (× 0.7)"
+    assert labels.sentence("a doubt") == "A doubt."
+
+
 def test_every_level_state_and_source_has_words_and_its_own_shape():
     assert set(labels.LEVELS) == set(FlagLevel)
     assert set(labels.PROVENANCE) == set(Provenance)

@@ -67,7 +67,7 @@ def test_another_lift_can_be_chosen(app, trial_id):
 
 def test_worked_steps_and_sources_are_there(app, trial_id):
     shown = html(open_trial(app, trial_id))
-    assert "RWL = 23 x" in shown
+    assert "RWL = 23 × " in shown
     assert "entered by you" in shown
     assert "assumed" in shown
     assert "measured in the video" in shown

@@ -10,6 +10,7 @@ import engine.jobs.local as local
 from engine.datatypes import Coupling, Subject, Task
 from engine.errors import ConfigError
 from engine.jobs.local import JobQueue, JobRequest, JobState
+from engine.jobs.worker import find_fraction
 from engine.storage.library import Library
 from engine.storage.results import read_result
 
@@ -98,6 +99,17 @@ def test_a_job_ends_as_a_trial_of_the_library(queue, tmp_path):
     assert read_result(queue.library.folder(job_id)).document["label"] == "lift"
     assert [entry.label for entry in queue.library.entries()] == ["lift"]
     assert 0 < status.elapsed_s < 20
+
+
+def test_the_share_that_is_done_only_grows(queue, tmp_path):
+    job_id = queue.submit(ask(tmp_path, "slow"))
+    wait_until(lambda: queue.read(job_id).done > 20)
+    status = queue.read(job_id)
+    assert status.total == 600
+    assert status.fraction == pytest.approx(0.02 + 0.83 * status.done / 600, abs=1e-9)
+    assert find_fraction("overlay", 0, 10) > find_fraction("pose", 10, 10)
+    assert find_fraction("overlay", 10, 10) < 1
+    assert find_fraction("no such stage", 5, 10) == find_fraction("pose", 0, 0) - 0.02 == 0
 
 
 def test_another_process_or_tab_sees_the_same(queue, tmp_path):
