@@ -113,13 +113,15 @@ class PoseConfig:
     """Which estimator, and its options.
 
     `variant` is `heavy` (default, for measurement) or `full` (faster, less exact);
-    `threads` the number of inference threads, 0 = one per core.
+    `threads` the number of inference threads, 0 = one per core; `model` the file of keypoints that
+    the estimator `stored` reads.
     """
 
     backend: str = "mediapipe"
     variant: Literal["heavy", "full"] = "heavy"
     threads: int = 0
     min_person_confidence: float = 0.5
+    model: str = ""
 
     def __post_init__(self) -> None:
         _require_between(0, 256, threads=self.threads)
