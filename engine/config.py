@@ -173,13 +173,18 @@ class CorrectionConfig:
 
 @dataclass(frozen=True)
 class EventsConfig:
-    """What counts as a lift."""
+    """What counts as a lift.
+
+    A lift begins and ends where the hands' speed crosses the larger of `speed_floor_m_s` and
+    `speed_share` of its peak. Motion capture allows 0.05 m/s and 5 %; keypoints from video are
+    never that still.
+    """
 
     min_rise_m: float = 0.10
     min_duration_s: float = 0.3
     max_duration_s: float = 5.0
-    speed_floor_m_s: float = 0.05
-    speed_share: float = 0.05
+    speed_floor_m_s: float = 0.10
+    speed_share: float = 0.12
     max_hand_separation_m: float = 0.60
 
     def __post_init__(self) -> None:

@@ -20,6 +20,7 @@ from engine.datatypes import (
     JointAngles,
     PoseTrack,
     ProgressCallback,
+    RiskResult,
     Trial,
     TrialResult,
     View,
@@ -42,7 +43,7 @@ from engine.video.overlay import write_overlay
 from engine.video.reader import probe_video, read_frames
 from engine.video.thumbnail import write_thumbnail
 
-__all__ = ["assess", "assess_to_folder"]
+__all__ = ["assess", "assess_pose", "assess_to_folder"]
 
 
 def assess(
@@ -79,38 +80,52 @@ def assess(
     if len(trial.views) != 1:
         raise ConfigError("Assessing two views together is not available yet; give one video.")
     # Wrong names fail before the long work, not after it.
-    solver = select_solver(config.kinematics.solver)
+    select_solver(config.kinematics.solver)
     select_methods(config.risk.methods, experimental=config.risk.experimental)
+    start = time.perf_counter()
+    pose = estimate_view(trial.views[0], config, progress)
+    spent = time.perf_counter() - start
+    result = assess_pose(trial, pose, config)
+    timings = {"pose": spent, "networks": pose.model_time_s, **result.timings_s}
+    return dataclasses.replace(result, timings_s=timings)
+
+
+def assess_pose(trial: Trial, pose: ViewPose, config: Config | None = None) -> TrialResult:
+    """Assess a trial from keypoints that were already estimated.
+
+    Parameters
+    ----------
+    trial
+        The person and the task; its video is not opened.
+    pose
+        What an estimator saw in the video.
+    config
+        Settings; the defaults if None.
+
+    Returns
+    -------
+    TrialResult
+        Nothing is written.
+    """
+    config = config or Config()
+    camera = trial.views[0].camera
     timings: dict[str, float] = {}
-    with _timed(timings, "pose"):
-        pose = estimate_view(trial.views[0], config, progress)
-    timings["networks"] = pose.model_time_s
     with _timed(timings, "reconstruction"):
         raw, scene = reconstruct_single_view(
             pose,
             trial.subject.stature,
-            matrix=trial.views[0].camera.matrix if trial.views[0].camera else None,
+            matrix=camera.matrix if camera else None,
             **dataclasses.asdict(config.camera),
         )
     with _timed(timings, "correction"):
         corrected = correct_track(raw, **dataclasses.asdict(config.correction))
     with _timed(timings, "kinematics"):
+        solver = select_solver(config.kinematics.solver)
         angles = add_scene_errors(solver.fit(corrected, trial.subject), scene)
         findings = _find_lifts(trial, raw, angles, scene, config)
+    coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
     with _timed(timings, "risk"):
-        exposure = Exposure(
-            track=corrected,
-            angles=angles,
-            lifts=findings.lifts,
-            subject=trial.subject,
-            task=trial.task,
-            observed_s=float(corrected.time_s[-1] - corrected.time_s[0]),
-            conditions=findings.conditions,
-        )
-        risk = assess_risk(
-            exposure, methods=config.risk.methods, experimental=config.risk.experimental
-        )
-        coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
+        risk = _assess_risk(trial, corrected, angles, findings, config)
         flags = raise_flags(risk, findings.lifts, coverage)
     return TrialResult(
         trial=trial,
@@ -149,6 +164,25 @@ def estimate_view(view: View, config: Config, progress: ProgressCallback) -> Vie
     tracked = follow_person(frames, detector, **dataclasses.asdict(config.subject))
     pose = backend.estimate(tracked, info, progress)
     return dataclasses.replace(pose, model_time_s=pose.model_time_s + detector.model_time_s)
+
+
+def _assess_risk(
+    trial: Trial,
+    corrected: PoseTrack,
+    angles: JointAngles,
+    findings: LiftFindings,
+    config: Config,
+) -> dict[str, RiskResult]:
+    exposure = Exposure(
+        track=corrected,
+        angles=angles,
+        lifts=findings.lifts,
+        subject=trial.subject,
+        task=trial.task,
+        observed_s=float(corrected.time_s[-1] - corrected.time_s[0]),
+        conditions=findings.conditions,
+    )
+    return assess_risk(exposure, methods=config.risk.methods, experimental=config.risk.experimental)
 
 
 def _find_lifts(
@@ -228,11 +262,12 @@ def assess_to_folder(
     """
     folder = check_target(folder)
     result = assess(trial, config, progress)
+    timings = dict(result.timings_s)
     scratch = Path(tempfile.mkdtemp(prefix=".liftlens-", dir=folder.parent))
     try:
         overlay = thumbnail = None
         if config.output.overlay:
-            with _timed(dict(result.timings_s), "overlay"):
+            with _timed(timings, "overlay"):
                 overlay = scratch / "overlay.mp4"
                 write_overlay(
                     trial.views[0].path,
@@ -247,6 +282,7 @@ def assess_to_folder(
             thumbnail = write_thumbnail(
                 overlay, scratch / "thumbnail.jpg", at_s=_telling_moment(result)
             )
+        result = dataclasses.replace(result, timings_s=timings)
         return write_result(result, folder, overlay=overlay, thumbnail=thumbnail)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)

@@ -63,6 +63,10 @@ _MASS_SHARES = (
 )
 """Segment masses after de Leva (1996), both sexes, rounded."""
 
+JUMP_SIGMA_M = 0.04
+JUMP_CAP = 25.0
+"""How far a wrist's depth moves in a frame, and the most a jump may cost: turning does happen."""
+
 
 @dataclass(frozen=True)
 class DepthSettings:
@@ -243,10 +247,40 @@ def _unfold_forearms(
                 + (out / settings.outward_m) ** 2
                 + ((candidate - depth[:, elbow] - np.nan_to_num(told)) / 0.12) ** 2
             )
-        chosen = candidates[np.argmin(cost, axis=0), np.arange(len(depth))]
+        chosen = candidates[_steady_choice(candidates, cost), np.arange(len(depth))]
         depth[:, wrist] = chosen
         depth[:, hand] = chosen + 0.3 * (chosen - depth[:, elbow])
     return depth
+
+
+def _steady_choice(candidates: Array, cost: Array) -> NDArray[np.intp]:
+    """Choose between two depths in every frame so that cost and jumps together are least.
+
+    Dynamic programming over the clip (Viterbi).
+
+    Parameters
+    ----------
+    candidates, cost
+        Shape (2, T), m and squared standard errors.
+
+    Returns
+    -------
+    NDArray[int]
+        Shape (T,), 0 or 1.
+    """
+    n_frames = candidates.shape[1]
+    jump = (candidates[:, None, 1:] - candidates[None, :, :-1]) / JUMP_SIGMA_M
+    change = np.minimum(jump**2, JUMP_CAP)  # (now, before, T - 1)
+    total, source = cost[:, 0].copy(), np.zeros((2, n_frames), dtype=np.intp)
+    for t in range(1, n_frames):
+        reach = total[None, :] + change[:, :, t - 1]
+        source[:, t] = np.argmin(reach, axis=1)
+        total = cost[:, t] + reach.min(axis=1)
+    chosen = np.zeros(n_frames, dtype=np.intp)
+    chosen[-1] = np.argmin(total)
+    for t in range(n_frames - 1, 0, -1):
+        chosen[t - 1] = source[chosen[t], t]
+    return chosen
 
 
 class _Rows:

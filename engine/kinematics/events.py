@@ -33,8 +33,10 @@ KNUCKLE_RATIO = {"male": 0.32, "female": 0.30, None: 0.31}
 MIN_PEAK_SPEED_M_S = 0.25
 MIN_FRAME_RATE_HZ = 15.0
 MIN_PEAK_RATE_HZ = 25.0
-STOP_SPEED_M_S = 0.10
-DWELL_S = 0.2
+STOP_SPEED_M_S = 0.08
+STOP_SHARE = 0.10
+TURN_COSINE = -0.5
+TURN_DEPTH_M = 0.10
 ARM_LENGTH_SHARE = 0.387
 """Shoulder to knuckle as a share of stature (upper arm, forearm, half a hand; Winter 2009)."""
 REST_DISTANCE_SHARE = 0.14
@@ -55,7 +57,7 @@ class Hands:
     `mid` (T, 3): height and forward position from both hands by their visibility (both hold
     one load), sideways position their plain middle. `left`, `right` (T, 3) knuckles;
     `certainty` (T,) of the better seen hand, 0 to 1; `speed` (T,) m/s of `mid`, with the
-    part along the line of sight weighted down by its larger error.
+    part along the line of sight weighted down by its larger error (the ratio of variances).
     """
 
     mid: Array
@@ -126,7 +128,10 @@ def compute_hands(track: PoseTrack, scene: WorldScene, *, sex: Sex | None = None
     position = np.asarray(track.position)
     sides = {s: compute_knuckles(position, skeleton, s, sex=sex) for s in ("left", "right")}
     certainty = {
-        s: np.nan_to_num(track.confidence[:, skeleton.index(f"{s}_wrist")], nan=1.0) for s in sides
+        s: _smooth(
+            np.nan_to_num(track.confidence[:, skeleton.index(f"{s}_wrist")], nan=1.0), track.time_s
+        )
+        for s in sides
     }
     # A hidden hand's place is a guess; a small floor keeps it in when both are hidden.
     weight = {
@@ -136,9 +141,12 @@ def compute_hands(track: PoseTrack, scene: WorldScene, *, sex: Sex | None = None
     total = np.where(total > 0, total, np.nan)
     left, right = np.nan_to_num(sides["left"]), np.nan_to_num(sides["right"])
     mid = (weight["left"][:, None] * left + weight["right"][:, None] * right) / total[:, None]
+    path = mid.copy()
     both = (weight["left"] > 0) & (weight["right"] > 0)
     mid[both, 2] = 0.5 * (left[both, 2] + right[both, 2])
-    velocity = np.gradient(mid, track.time_s, axis=0) if len(mid) > 1 else np.zeros_like(mid)
+    # One weight for all directions: what a single hand does along its line of sight then stays
+    # along it, and can be told from real motion.
+    velocity = np.gradient(path, track.time_s, axis=0) if len(path) > 1 else np.zeros_like(path)
     return Hands(
         mid=mid,
         left=sides["left"],
@@ -149,6 +157,14 @@ def compute_hands(track: PoseTrack, scene: WorldScene, *, sex: Sex | None = None
     )
 
 
+def _smooth(values: Array, time_s: Array) -> Array:
+    """Return the running mean over half a second; flicker would look like motion."""
+    step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    half = max(1, round(0.25 / step_s))
+    padded = np.pad(values, half, mode="edge")
+    return np.asarray(np.convolve(padded, np.ones(2 * half + 1) / (2 * half + 1), mode="valid"))
+
+
 def _view_direction(scene: WorldScene) -> Array:
     """Return the camera's viewing direction in the world, shape (3,)."""
     return np.asarray(scene.camera.rotation[2])
@@ -156,21 +172,20 @@ def _view_direction(scene: WorldScene) -> Array:
 
 def _weighted_speed(velocity: Array, scene: WorldScene) -> Array:
     along = _view_direction(scene)
-    share = float(np.clip(np.nan_to_num(scene.plane_sigma_m / scene.depth_sigma_m, nan=1.0), 0, 1))
+    ratio = np.nan_to_num(scene.plane_sigma_m / scene.depth_sigma_m, nan=1.0)
+    share = float(np.clip(ratio, 0.0, 1.0)) ** 2
     depth = velocity @ along
     across = velocity - depth[:, None] * along
     return np.asarray(np.sqrt((across**2).sum(axis=1) + (share * depth) ** 2))
 
 
 def find_moves(
-    time_s: Array, hands: Hands, *, speed_floor_m_s: float = 0.05, speed_share: float = 0.05
+    hands: Hands, *, speed_floor_m_s: float = 0.10, speed_share: float = 0.12
 ) -> list[Move]:
     """Split the hands' path into movements from stop to stop.
 
     Parameters
     ----------
-    time_s
-        Shape (T,).
     hands
         The hands' speed and velocity.
     speed_floor_m_s, speed_share
@@ -186,7 +201,7 @@ def find_moves(
     peaks, _ = find_peaks(speed, height=MIN_PEAK_SPEED_M_S, prominence=0.08)
     groups: list[list[int]] = []
     for peak in map(int, peaks):
-        if groups and _is_same_move(time_s, hands, groups[-1][-1], peak):
+        if groups and _is_same_move(hands, groups[-1][-1], peak):
             groups[-1].append(peak)
         else:
             groups.append([peak])
@@ -203,21 +218,35 @@ def find_moves(
             speed, group[-1], high, max(speed_floor_m_s, speed_share * speed[group[-1]])
         )
         highest = max(group, key=lambda k: speed[k])
-        moves.append(Move(first, highest, last))
+        moves += _split_at_turns(Move(first, highest, last), hands)
     return moves
 
 
-def _is_same_move(time_s: Array, hands: Hands, first: int, second: int) -> bool:
-    """Whether two speed peaks belong to one movement: same direction and no real stop between."""
+def _split_at_turns(move: Move, hands: Hands) -> list[Move]:
+    """Cut a movement where the hands turn from down to up or back; the stop there was too short."""
+    height = hands.mid[move.start : move.end + 1, 1]
+    if not np.isfinite(height).all():
+        return [move]
+    for sign in (1.0, -1.0):
+        turn = int(np.argmin(sign * height))
+        if (sign * (height[[0, -1]] - height[turn])).min() > TURN_DEPTH_M:
+            cut = move.start + turn
+            parts = [(move.start, cut), (cut, move.end)]
+            speed = np.nan_to_num(hands.speed)
+            return [Move(a, a + int(np.argmax(speed[a : b + 1])), b) for a, b in parts]
+    return [move]
+
+
+def _is_same_move(hands: Hands, first: int, second: int) -> bool:
+    """Whether two speed peaks belong to one movement: no real stop and no turning back between.
+
+    A lift onto a shelf goes up, slows down and goes forward; that is one movement.
+    """
     speed = np.nan_to_num(hands.speed)
     a, b = hands.velocity[first], hands.velocity[second]
     cosine = float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-9))
-    valley = _valley(speed, first, second)
-    if cosine < 0.3:
-        return False
-    still = speed[first : second + 1] < STOP_SPEED_M_S
-    dwell = float(still.sum()) * float(np.median(np.diff(time_s)))
-    return bool(speed[valley] > STOP_SPEED_M_S / 2 and dwell < DWELL_S)
+    stop = max(STOP_SPEED_M_S, STOP_SHARE * min(speed[first], speed[second]))
+    return bool(cosine > TURN_COSINE and speed[_valley(speed, first, second)] > stop)
 
 
 def _valley(speed: Array, first: int, second: int) -> int:
@@ -392,8 +421,8 @@ def detect_lifts(
     min_rise_m: float = 0.10,
     min_duration_s: float = 0.3,
     max_duration_s: float = 5.0,
-    speed_floor_m_s: float = 0.05,
-    speed_share: float = 0.05,
+    speed_floor_m_s: float = 0.10,
+    speed_share: float = 0.12,
     max_hand_separation_m: float = 0.60,
 ) -> LiftFindings:
     """Find the lifts of a clip and measure them.
@@ -433,7 +462,7 @@ def detect_lifts(
         )
         return LiftFindings((), (), (text,))
     hands = compute_hands(track, scene, sex=sex)
-    moves = find_moves(time_s, hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share)
+    moves = find_moves(hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share)
     at_rest = find_rest(track, hands, scene, stature_m=stature_m)
     loaded, doubts = choose_loaded(moves, hands, at_rest, min_rise_m=min_rise_m)
     lifts, warnings = [], []
