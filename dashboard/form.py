@@ -100,7 +100,7 @@ def _ask_sample(samples: tuple[cache.Sample, ...]) -> Path:
     )
     if state.initial_value("sample") != key:
         _take_sample()
-    st.caption(f"What is known of the sample is filled in below. {notes[key].licence}")
+    st.caption(f"What is known of the sample is filled in below. Licence: {notes[key].licence}.")
     return notes[key].path
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from engine.datatypes import Coupling, FlagLevel, Measurement, Provenance
+from engine.datatypes import Coupling, FlagLevel, Measurement, Provenance, RiskInput
 from engine.errors import ConfigError
 from engine.jobs.local import JobState
 from engine.kinematics.angles import describe_angle
@@ -112,6 +112,19 @@ FACTORS: dict[str, tuple[str, str]] = {
     "CM": ("Grip (C)", "How well the hands can hold the load."),
 }
 
+INPUTS: dict[str, str] = {
+    "D": "Travel (D)",
+    "H at origin": "Reach at the start (H)",
+    "V at origin": "Height at the start (V)",
+    "A at origin": "Twist at the start (A)",
+    "H at destination": "Reach at the end (H)",
+    "V at destination": "Height at the end (V)",
+    "A at destination": "Twist at the end (A)",
+    "duration class": "Duration class",
+    "significant control": "Placed with care (significant control)",
+    "coupling": "Grip (coupling)",
+}
+
 HELP: dict[str, str] = {
     "label": "Shown in the list of trials, for example: crate to shelf.",
     "subject": "A pseudonym, never the name of the person.",
@@ -189,6 +202,14 @@ def format_value(value: Any, unit: str = "") -> str:
     return f"{text} {unit}".strip()
 
 
+def format_input(item: RiskInput) -> str:
+    """Return an input of a method with its error and unit."""
+    unit = {"deg": "°", "1/min": "per minute"}.get(item.unit, item.unit)
+    if isinstance(item.value, float) and not math.isnan(item.sigma):
+        return format_measurement(Measurement(item.value, item.sigma), unit, 1)
+    return format_value(item.value, unit)
+
+
 def format_time(moment: datetime) -> str:
     """Return a local time of day and date."""
     return f"{moment.astimezone():%d %b %Y, %H:%M}".lstrip("0")
@@ -209,7 +230,7 @@ def format_window(start_s: float, end_s: float) -> str:
 
 def typeset(text: str) -> str:
     """Return plain-text arithmetic with its true signs."""
-    text = text.replace(" -> ", " → ").replace(" x ", " × ").replace("(x ", "(× ")
+    text = text.replace(" -> ", " → ").replace(" x ", " × ").replace("(x ", "(×\u00a0")
     return text.replace(" - ", " − ").replace(" deg", "°")
 
 

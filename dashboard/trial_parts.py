@@ -265,10 +265,8 @@ def _factor_html(
 
 def _input_rows(risk: RiskResult) -> Iterable[tuple[str, str, str]]:
     for item in risk.inputs:
-        error = "" if math.isnan(item.sigma) else f" ± {item.sigma:.2g}"
-        value = labels.format_value(item.value)
-        unit = {"deg": "°", "1/min": "per minute"}.get(item.unit, item.unit)
-        yield item.name, f"{value}{error} {unit}".strip(), labels.PROVENANCE[item.provenance]
+        name = labels.INPUTS.get(item.name, item.name.capitalize())
+        yield name, labels.format_input(item), labels.PROVENANCE[item.provenance]
 
 
 def show_confidence(result: StoredResult) -> None:

@@ -71,6 +71,8 @@ def test_worked_steps_and_sources_are_there(app, trial_id):
     assert "entered by you" in shown
     assert "assumed" in shown
     assert "measured in the video" in shown
+    assert "Reach at the start (H)" in shown
+    assert "58.0 ± 4.0 cm" in shown
 
 
 def test_every_joint_can_be_plotted(app, trial_id):
