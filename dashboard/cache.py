@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import re
 import tomllib
@@ -106,14 +105,6 @@ def save_upload(source: IO[bytes], name: str) -> Path:
         while chunk := source.read(CHUNK_BYTES):
             file.write(chunk)
     return target
-
-
-def fingerprint(source: IO[bytes]) -> str:
-    """Return the content hash of an upload, and rewind it."""
-    source.seek(0)
-    digest = hashlib.file_digest(source, "sha256").hexdigest()  # type: ignore[arg-type]
-    source.seek(0)
-    return digest
 
 
 def sanitise_name(name: str) -> str:

@@ -43,6 +43,8 @@ STARTUP_GRACE_S = 30.0
 """How long a new worker may take until it holds its lock."""
 CANCEL_GRACE_S = 10.0
 """How long a worker may take to stop by itself before it is killed."""
+KEEP_UPLOADS_S = 24 * 3600.0
+"""How long a video that was uploaded but never assessed is kept: it shows faces."""
 KEEP_JOBS_S = 7 * 24 * 3600.0
 """How long ended jobs are kept; their results stay in the library."""
 
@@ -203,6 +205,7 @@ class JobQueue:
     def advance(self) -> None:
         """Bring the state on disk up to date and start waiting jobs where a worker is free."""
         with hold(self.root / ".lock"):
+            self._clear_uploads()
             running = 0
             for folder in self._folders():
                 status = self._settle(folder)
@@ -211,6 +214,11 @@ class JobQueue:
                 running += status.state in (JobState.STARTING, JobState.RUNNING)
                 if status.state.is_over and time.time() - (status.ended_s or 0) > KEEP_JOBS_S:
                     _remove(folder)
+
+    def _clear_uploads(self) -> None:
+        for folder in self.library.uploads.iterdir():
+            if not folder.name.startswith(".") and _age_s(folder) > KEEP_UPLOADS_S:
+                _remove(folder)
 
     def _folder(self, job_id: str) -> Path:
         folder = self.root / job_id
@@ -228,6 +236,8 @@ class JobQueue:
             return video
         (aside / place).parent.mkdir(parents=True)
         shutil.move(video, aside / place)
+        with contextlib.suppress(OSError):  # something else lies there too
+            video.parent.rmdir()
         return folder / place
 
     def _return(self, video: Path, folder: Path) -> Path:

@@ -225,7 +225,7 @@ def test_an_uploaded_video_is_deleted_once_it_is_assessed(queue):
     video = upload(queue, "")
     job_id = queue.submit(JobRequest(videos=(video,), label="u"))
     wait_for(queue, job_id, JobState.DONE)
-    assert not video.exists()
+    assert not video.parent.exists()
     wait_until(lambda: not list(queue.root.rglob("clip.mp4")))
 
 
@@ -238,6 +238,15 @@ def test_a_failed_job_gives_its_upload_back(queue):
     assert request.videos[0].read_text() == "fail"
     assert queue.library.uploads in request.videos[0].parents
     assert queue.jobs() == ()
+
+
+def test_an_upload_that_was_never_assessed_goes_after_a_while(queue, monkeypatch):
+    video = upload(queue, "")
+    queue.advance()
+    assert video.exists()
+    monkeypatch.setattr(local, "KEEP_UPLOADS_S", -1.0)
+    queue.advance()
+    assert list(queue.library.uploads.iterdir()) == []
 
 
 def test_other_videos_are_left_where_they_are(queue, tmp_path):
