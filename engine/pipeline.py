@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from engine.cameras.monocular import reconstruct_single_view
 from engine.config import Config
@@ -107,7 +108,12 @@ def assess_pose(trial: Trial, pose: ViewPose, config: Config | None = None) -> T
     TrialResult
         Nothing is written.
     """
-    config = config or Config()
+    # Thousands of tiny matrices: handing each to several threads costs a hundred times the work.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _assess_pose(trial, pose, config or Config())
+
+
+def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
     camera = trial.views[0].camera
     timings: dict[str, float] = {}
     with _timed(timings, "reconstruction"):

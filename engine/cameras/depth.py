@@ -208,7 +208,7 @@ def _solve_piece(problem: DepthProblem, settings: DepthSettings) -> Array:
         gradient = np.matmul(jacobian.transpose(0, 2, 1), residual[:, :, None])[:, :, 0]
         step = _banded_step(normal, gradient, depth, smoothness)
         depth = depth + np.clip(step, -0.15, 0.15)
-        if np.abs(step).max() < 2e-3:
+        if np.abs(step).max() < 5e-3:
             break
     return depth
 

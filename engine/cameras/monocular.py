@@ -54,9 +54,9 @@ STEP_M = 0.15
 LANDMARK_SCALE_SIGMA = 0.02
 """Share of the ankle-to-ear span by which a network's points may differ from the anatomy."""
 NO_UPRIGHT_SCALE_SIGMA = 0.08
-PLANE_SIGMA_SHARE = 0.012
+PLANE_SIGMA_SHARE = 0.018
 """Standard error of a well visible keypoint across the line of sight, as a share of stature."""
-DEPTH_SIGMA_SHARE = 0.04
+DEPTH_SIGMA_SHARE = 0.05
 """The same along the line of sight, relative to the feet."""
 
 _LENGTH_RULES: tuple[tuple[tuple[str, str], float, float, str], ...] = (
@@ -289,10 +289,15 @@ class Ground:
     scale: float
 
 
-def up_direction(pitch_deg: float, roll_deg: float) -> Array:
-    """Return the upward unit vector in camera axes; a camera that looks down has positive pitch."""
+def up_direction(pitch_deg: float | Array, roll_deg: float) -> Array:
+    """Return the upward unit vector in camera axes, shape (..., 3).
+
+    A camera that looks down has positive pitch.
+    """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
-    return np.array([np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch), -np.sin(pitch)])
+    return np.stack(
+        [np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch), -np.sin(pitch)], axis=-1
+    )
 
 
 def estimate_ground(
@@ -331,7 +336,7 @@ def estimate_ground(
     if upright.is_found:
         distance, _ = _span_depths(up, ankle, ear, (EAR_HEIGHT - ANKLE_HEIGHT) * stature_m)
     else:
-        distance = _distance_by_size(body, rays, upright.frames, skeleton) * scale
+        distance = scale * _distance_by_size(body, rays, upright.frames, skeleton)
     height = ANKLE_HEIGHT * stature_m + SOLE_M
     return Ground(
         up=up,
@@ -356,13 +361,12 @@ def _estimate_pitch(
     if not upright.is_found:
         return 0.0, pitch_sigma_deg
     grid = np.arange(-60.0, 60.25, 0.25)
-    cost = np.array(
-        [
-            (pitch / pitch_sigma_deg) ** 2
-            + _camera_height_cost(up_direction(pitch, roll_deg), ankle, ear, stature_m)
-            for pitch in grid
-        ]
-    )
+    up = up_direction(grid, roll_deg)
+    depth, _ = _span_depths(up, ankle, ear, (EAR_HEIGHT - ANKLE_HEIGHT) * stature_m)
+    height = ANKLE_HEIGHT * stature_m + SOLE_M - depth * (up @ ankle)
+    excess = (height - CAMERA_HEIGHT_M) / CAMERA_HEIGHT_SIGMA_M
+    # The second statement has a soft tail (Student's t), see above.
+    cost = (grid / pitch_sigma_deg) ** 2 + 4.0 * np.log1p(excess**2 / 4.0)
     weight = np.exp(-0.5 * (cost - cost.min()))
     weight /= weight.sum()
     mean = float((grid * weight).sum())
@@ -371,7 +375,7 @@ def _estimate_pitch(
 
 def _distance_by_size(
     body: Array, rays: Array, frames: NDArray[np.bool_], skeleton: Skeleton
-) -> float:
+) -> Array:
     """Return the distance in units of the body landmarks, from their size in the picture."""
     chosen = [skeleton.index(f"{s}_{n}") for s in ("left", "right") for n in ("shoulder", "hip")]
     chosen += [skeleton.index(f"{s}_{n}") for s in ("left", "right") for n in ("knee", "ankle")]
@@ -379,21 +383,20 @@ def _distance_by_size(
     flat = flat - flat.mean(axis=1, keepdims=True)
     seen = seen - seen.mean(axis=1, keepdims=True)
     size = np.sqrt((flat**2).sum(axis=(1, 2)) / (seen**2).sum(axis=(1, 2)))
-    return float(np.nanmedian(size))
+    return np.asarray(np.nanmedian(size))
 
 
-def _camera_height_cost(up: Array, ankle: Array, ear: Array, stature_m: float) -> float:
-    ankle_depth, _ = _span_depths(up, ankle, ear, (EAR_HEIGHT - ANKLE_HEIGHT) * stature_m)
-    height = ANKLE_HEIGHT * stature_m + SOLE_M - float(ankle_depth * ankle @ up)
-    excess = (height - CAMERA_HEIGHT_M) / CAMERA_HEIGHT_SIGMA_M
-    return float(4.0 * np.log1p(excess**2 / 4.0))
+def _span_depths(up: Array, lower: Array, upper: Array, span_m: float) -> tuple[Array, Array]:
+    """Return the depths of two lines of sight at which points stand `span_m` above each other.
 
-
-def _span_depths(up: Array, lower: Array, upper: Array, span_m: float) -> tuple[float, float]:
-    """Return the depths of two rays' points that stand `span_m` above each other."""
-    system = np.stack([-lower, upper], axis=1)
-    solution, *_ = np.linalg.lstsq(system, span_m * up, rcond=None)
-    return float(solution[0]), float(solution[1])
+    Least squares of ``b * upper - a * lower = span * up``, for one or many `up` (..., 3).
+    """
+    ll, uu, lu = lower @ lower, upper @ upper, lower @ upper
+    wanted_l, wanted_u = -span_m * (up @ lower), span_m * (up @ upper)
+    determinant = ll * uu - lu**2
+    a = (uu * wanted_l + lu * wanted_u) / determinant
+    b = (lu * wanted_l + ll * wanted_u) / determinant
+    return np.asarray(a), np.asarray(b)
 
 
 def body_scale(

@@ -67,13 +67,13 @@ def correct_track(
     position, sigma, status = kept.copy(), np.array(track.sigma), np.array(track.status)
     status[rejected] = Status.REJECTED
     for k in range(position.shape[1]):
-        filled = fill_gaps(track.time_s, kept[:, k], max_gap_s=max_gap_s)
-        position[:, k] = butterworth_low_pass(track.time_s, filled, cutoff_hz=cutoff_hz)
+        position[:, k] = fill_gaps(track.time_s, kept[:, k], max_gap_s=max_gap_s)
         is_filled = np.asarray(
-            np.isfinite(filled).all(axis=1) & ~np.isfinite(kept[:, k]).all(axis=1)
+            np.isfinite(position[:, k]).all(axis=1) & ~np.isfinite(kept[:, k]).all(axis=1)
         )
         status[is_filled, k] = Status.FILLED
         sigma[:, k] = _widen_filled(track.time_s, kept[:, k], sigma[:, k], is_filled)
+    position = _smooth(track.time_s, position, cutoff_hz)
     corrected = dataclasses.replace(track, position=position, sigma=sigma, status=status)
     note = {
         "preset": preset,
@@ -84,6 +84,19 @@ def correct_track(
         **summarise_status(corrected),
     }
     return dataclasses.replace(corrected, provenance={**track.provenance, "correction": note})
+
+
+def _smooth(time_s: Array, position: Array, cutoff_hz: float) -> Array:
+    """Filter all keypoints; those with the same gaps in one call, which is much faster."""
+    smoothed = position.copy()
+    known = np.isfinite(position).all(axis=2)
+    patterns, member = np.unique(known, axis=1, return_inverse=True)
+    for i in range(patterns.shape[1]):
+        columns = np.flatnonzero(member == i)
+        series = position[:, columns].reshape(len(time_s), -1)
+        series = butterworth_low_pass(time_s, series, cutoff_hz=cutoff_hz)
+        smoothed[:, columns] = series.reshape(len(time_s), len(columns), -1)
+    return smoothed
 
 
 def _widen_filled(time_s: Array, kept: Array, sigma: Array, is_filled: NDArray[np.bool_]) -> Array:
