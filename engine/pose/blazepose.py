@@ -66,8 +66,8 @@ its side). A crop that follows every frame makes the landmarks jitter about 1.7 
 CROP_OFFSET_PX: Final = 0.0
 """Where in a crop pixel the picture is sampled when landmarks are sought.
 
-0 is what MediaPipe's own runtime does and gives its landmarks to 0.02 px. Mirrored pictures show that
-about 0.5 would remove a shift to the right by 0.2 % of the crop, which no angle sees (model card).
+0 is what MediaPipe's own runtime does and gives its landmarks to 0.02 px. Mirrored pictures show
+that 0.5 would remove a shift to the right by 0.2 % of the crop, which no angle sees (model card).
 """
 DETECTOR_OFFSET_PX: Final = 0.0
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.datatypes import Array, Frame, PersonBox, SubjectState, TrackedFrame
-from engine.errors import NoPersonFound
+from engine.errors import ConfigError, NoPersonFound
 from engine.subject.appearance import compare_appearance, describe_appearance
 
 __all__ = [
@@ -73,6 +73,8 @@ SEARCH_EVERY: Final = 3
 """Frames between looks while nobody is followed."""
 NEAR_EVERY: Final = 1
 UNSURE_EVERY: Final = 2
+COMPANY_EVERY: Final = 4
+"""Frames between looks while somebody else is in the picture, who may come nearer."""
 
 
 def compute_iou(a: PersonBox, b: PersonBox) -> float:
@@ -171,7 +173,8 @@ class _Motion:
 
     def advance(self) -> None:
         """Go one frame on without an observation."""
-        vx, vy = self.velocity
+        slowing = DAMPING**self.age
+        vx, vy = (v * slowing for v in self.velocity)
         self.box = replace(
             self.box,
             left=self.box.left + vx,
@@ -179,7 +182,6 @@ class _Motion:
             top=self.box.top + vy,
             bottom=self.box.bottom + vy,
         )
-        self.velocity = (vx * DAMPING, vy * DAMPING)
         self.age += 1
 
     def observe(self, box: PersonBox, *, gain: float = VELOCITY_GAIN) -> None:
@@ -523,17 +525,22 @@ class PersonTracker:
             self._interval = UNSURE_EVERY
         else:
             self._interval *= 2
-        self._interval = min(self._interval, self._detect_every)
+        most = min(COMPANY_EVERY, self._detect_every) if self._others else self._detect_every
+        self._interval = min(self._interval, most)
         self._until_look = self._interval - 1
 
     def _is_sure(self) -> bool:
-        """Whether the last look left no doubt; the first look after a start counts as sure."""
+        """Whether the last look left no doubt.
+
+        A person alone who is where they should be is no doubt, however faint; the first look
+        after a start counts as in place.
+        """
         assert self._motion is not None
         box = self._motion.observed
         if self._motion.age > 0:
             return False
-        is_first = self._state is SubjectState.INIT
-        return box.confidence >= SURE_CONFIDENCE and (is_first or box.iou >= SURE_IOU)
+        is_in_place = self._state is SubjectState.INIT or box.iou >= SURE_IOU
+        return is_in_place and (box.confidence >= SURE_CONFIDENCE or not self._others)
 
     @property
     def _velocity_gain(self) -> float:
@@ -583,6 +590,8 @@ def follow_person(
 
     Raises
     ------
+    ConfigError
+        If `box` lies outside the picture.
     NoPersonFound
         At the end, if the person was never seen.
 
@@ -604,6 +613,8 @@ def follow_person(
     )
     n_frames = 0
     for frame in frames:
+        if n_frames == 0 and box is not None:
+            _require_inside(box, frame.image)
         n_frames += 1
         is_anchor = tracker.wants_look
         followed = tracker.step(
@@ -615,6 +626,16 @@ def follow_person(
         raise NoPersonFound(
             f"Expected a person in the video, but none was seen in {n_frames} pictures; film the "
             "whole body, in good light, and let it fill at least a third of the picture's height."
+        )
+
+
+def _require_inside(box: tuple[float, float, float, float], image: NDArray[np.uint8]) -> None:
+    height, width = image.shape[:2]
+    left, top, right, bottom = box
+    if right <= 0 or bottom <= 0 or left >= width or top >= height:
+        raise ConfigError(
+            f"The person's box ({left:g}, {top:g}, {right:g}, {bottom:g}) lies outside the picture "
+            f"of {width} x {height} px; give left, top, right, bottom in px."
         )
 
 
