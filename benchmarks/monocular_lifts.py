@@ -22,6 +22,7 @@ import numpy as np
 import pandas as pd
 
 from engine import Config, Subject, Task, Trial, TrialResult, View
+from engine.config import PoseConfig
 from engine.datatypes import Lift, PoseTrack, SubjectState, ViewInfo, ViewPose, ignore_progress
 from engine.ergonomics.lifting_equation import compute_rwl
 from engine.pipeline import assess_pose, estimate_view
@@ -133,9 +134,9 @@ def find_videos(data: Path, persons: Iterable[str]) -> Iterator[Path]:
         yield from sorted((data / person).glob(f"{person}_*/cam*.mp4"))
 
 
-def measure(video: Path, cache: Path) -> dict[str, float | str]:
+def measure(video: Path, cache: Path, config: Config) -> dict[str, float | str]:
     """Assess one video and compare it with the truth."""
-    truth, config = read_truth(video.parent), Config()
+    truth = read_truth(video.parent)
     trial = Trial(
         views=(View(video),),
         subject=Subject(stature_m=truth.stature_m),
@@ -269,15 +270,17 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path(".benchmark_cache/monocular_lifts"))
     parser.add_argument("--persons", nargs="*", help="for example P01 P07; all if left out")
     parser.add_argument("--rows", type=Path, help="write one line per video to this CSV file")
+    parser.add_argument("--threads", type=int, default=0, help="of inference; 0: all cores")
     parser.add_argument("--fresh", action="store_true", help="forget cached keypoints")
     options = parser.parse_args()
     if options.fresh:
         for file in options.cache.glob("*.npz"):
             file.unlink()
+    config = Config(pose=PoseConfig(threads=options.threads))
     persons = options.persons or sorted(p.name for p in options.data.glob("P*"))
     rows = []
     for video in find_videos(options.data, persons):
-        rows.append(measure(video, options.cache))
+        rows.append(measure(video, options.cache, config))
         print(f"{rows[-1]['trial']} {rows[-1]['camera']}: {rows[-1]['lifts']} lift(s)", flush=True)
     table = pd.DataFrame(rows)
     if options.rows:

@@ -107,7 +107,7 @@ FACTORS: dict[str, tuple[str, str]] = {
     "HM": ("Reach (H)", "How far the hands are in front of the ankles."),
     "VM": ("Height (V)", "How high the hands are above the floor."),
     "DM": ("Travel (D)", "How far the load moves up or down."),
-    "AM": ("Twist (A)", "How far the load is to the side of straight ahead."),
+    "AM": ("To the side (A)", "How far the load is to the side of straight ahead."),
     "FM": ("Frequency (F)", "How often and how long the work goes on."),
     "CM": ("Grip (C)", "How well the hands can hold the load."),
 }
@@ -116,10 +116,10 @@ INPUTS: dict[str, str] = {
     "D": "Travel (D)",
     "H at origin": "Reach at the start (H)",
     "V at origin": "Height at the start (V)",
-    "A at origin": "Twist at the start (A)",
+    "A at origin": "To the side at the start (A)",
     "H at destination": "Reach at the end (H)",
     "V at destination": "Height at the end (V)",
-    "A at destination": "Twist at the end (A)",
+    "A at destination": "To the side at the end (A)",
     "duration class": "Duration class",
     "significant control": "Placed with care (significant control)",
     "coupling": "Grip (coupling)",
@@ -129,7 +129,7 @@ HELP: dict[str, str] = {
     "label": "Shown in the list of trials, for example: crate to shelf.",
     "subject": "A pseudonym, never the name of the person.",
     "stature": (
-        "Body height in metres, with shoes as filmed. It sets the scale of everything that is "
+        "Body height in metres, without shoes. It sets the scale of everything that is "
         "measured. Left empty, 1.70 m is assumed and the stated errors grow."
     ),
     "mass": "Optional. Methods that estimate the load on the spine need it.",

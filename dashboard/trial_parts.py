@@ -138,7 +138,7 @@ def show_lifts(result: StoredResult) -> None:
         ("When", "From lift-off to set-down."),
         ("Reach H", "Horizontal distance from the ankles to the hands (H), start → end."),
         ("Height V", "Height of the hands above the floor (V), start → end."),
-        ("Twist A", "Angle of the load to the side of straight ahead (A), start → end."),
+        ("Side A", "Angle of the load to the side of straight ahead (A), start → end."),
         ("Travel D", "How far the load moves up or down (D)."),
         ("Hands", "How many hands moved with the load."),
     )
