@@ -61,6 +61,8 @@ MAX_MISSED: Final = 4
 """Looks without a bystander whom the followed person can't hide."""
 LOOKS_MARGIN: Final = 0.06
 """By how much an exchange must fit the looks of both persons better than none."""
+MAX_CHECKS: Final = 10
+"""Looks after people came apart, until who is who is taken as settled."""
 LOOKS_GAIN: Final = 0.3
 DAMPING: Final = 0.95
 """Of the velocity per frame that is predicted: nobody keeps going for long."""
@@ -161,10 +163,10 @@ class _Motion:
     n_missed: int = 0
     """Looks since the last observation."""
     may_be_subject: bool = False
-    """Whether this bystander appeared while the followed person was lost."""
+    """Whether this bystander appeared while the followed person was out of sight."""
     looks: Array | None = None
     """Appearance, learnt while nobody was near."""
-    was_covered: bool = False
+    has_met: bool = False
     """Whether this bystander and the followed person overlapped since they were told apart."""
     observed: PersonBox = field(init=False)
 
@@ -261,6 +263,8 @@ class PersonTracker:
         self._interval = 1
         self._until_look = 0
         self._frames_held = 0
+        self._met_looks: list[Array] = []
+        self._n_checks = 0
 
     @property
     def was_found(self) -> bool:
@@ -423,7 +427,8 @@ class PersonTracker:
     def _claim_others(self, persons: Sequence[PersonBox]) -> list[PersonBox]:
         """Give the bystanders their boxes; return the boxes that are left.
 
-        Every box goes to the track it overlaps most, one box a track.
+        Every box goes to the track it overlaps most, one box a track. Parts of a bystander's box
+        are not left either.
         """
         assert self._motion is not None
         is_lost = self._state is SubjectState.LOST
@@ -445,14 +450,24 @@ class PersonTracker:
         for i, track in owner.items():
             if track is not self._motion:
                 track.observe(persons[i], gain=self._velocity_gain)
-        strangers = {i for i, t in owner.items() if t is not self._motion and not t.may_be_subject}
-        return [p for i, p in enumerate(persons) if i not in strangers]
+        strangers = [
+            persons[i]
+            for i, track in owner.items()
+            if track is not self._motion and not track.may_be_subject
+        ]
+        own = [persons[i] for i, track in owner.items() if track is self._motion]
+        return [
+            p
+            for p in persons
+            if p in own or not any(_is_part_of(p, stranger) for stranger in strangers)
+        ]
 
     def _welcome_others(self, persons: Sequence[PersonBox]) -> None:
         """Start tracks of bystanders that were not known."""
         if self._motion is None:
             return
         is_lost = self._state is SubjectState.LOST
+        is_hidden = not self._is_seen or bool(self._met_looks)
         known = [m.observed for m in self._others]
         if not is_lost:
             known.append(self._motion.box)
@@ -461,49 +476,77 @@ class PersonTracker:
                 _intersection(person, k) < PART_SHARE * min(_area(person), _area(k)) for k in known
             )
             if is_new:
-                self._others.append(_Motion(person, may_be_subject=is_lost))
+                self._others.append(_Motion(person, may_be_subject=is_hidden))
                 known.append(person)
 
     def _tell_apart(self, describe: Describer) -> None:
-        """Learn what everybody looks like; after one covered another, check who is who."""
+        """Learn what everybody looks like; after people covered each other, check who is who."""
         own = self._motion
-        if own is None or own.age > 0 or self._state is SubjectState.LOST:
+        if own is None:
             return
         seen = [m for m in self._others if m.age == 0]
-        overlaps = [compute_iou(own.box, m.box) for m in self._others]
-        for other, overlap in zip(self._others, overlaps, strict=True):
-            other.was_covered = other.was_covered or overlap > COVERED_IOU
-        exchanged = next((m for m in seen if self._looks_exchanged(m, describe)), None)
-        if exchanged is not None:
-            self._exchange(exchanged)
-        elif not any(m.was_covered for m in self._others):
-            own.learn(describe(own.box))
-            for other in seen:
-                other.learn(describe(other.box))
+        covering = [m for m in self._others if compute_iou(own.box, m.box) > COVERED_IOU]
+        if covering:
+            self._meet(covering)
+        elif self._met_looks:
+            self._check_looks([m for m in seen if m.has_met or m.may_be_subject], describe)
+        elif self._is_seen:
+            for motion in (own, *seen):
+                motion.learn(describe(motion.box))
 
-    def _looks_exchanged(self, other: _Motion, describe: Describer) -> bool:
-        """Whether the followed person, apart again, looks like the other one did before."""
+    def _meet(self, covering: Sequence[_Motion]) -> None:
+        for other in covering:
+            if not other.has_met and other.looks is not None:
+                self._met_looks.append(other.looks)
+            other.has_met = True
+        self._n_checks = 0
+
+    def _check_looks(self, candidates: Sequence[_Motion], describe: Describer) -> None:
+        """Follow whom looks most like the person did before the meeting."""
         own = self._motion
         assert own is not None
-        if not other.was_covered or compute_iou(own.box, other.box) > APART_IOU:
-            return False
-        other.was_covered = False
-        if own.looks is None or other.looks is None:
-            return False
-        now_own, now_other = describe(own.box), describe(other.box)
-        kept = compare_appearance(own.looks, now_own) + compare_appearance(other.looks, now_other)
-        swapped = compare_appearance(own.looks, now_other) + compare_appearance(
-            other.looks, now_own
-        )
-        return swapped > kept + LOOKS_MARGIN
+        if own.looks is None or any(compute_iou(own.box, c.box) > APART_IOU for c in candidates):
+            return
+        kept = self._compare_with_own(own, describe) if self._is_seen else 0.0
+        gains = [self._compare_with_own(c, describe) - kept for c in candidates]
+        if gains and max(gains) > LOOKS_MARGIN:
+            self._exchange(candidates[gains.index(max(gains))])
+            self._end_meeting()
+            return
+        self._n_checks += self._is_seen
+        if self._n_checks >= MAX_CHECKS:
+            self._end_meeting()
+
+    def _compare_with_own(self, motion: _Motion, describe: Describer) -> float:
+        """Return how much more somebody looks like the followed person than like who was met."""
+        assert self._motion is not None
+        own_looks = self._motion.looks
+        now = describe(motion.box)
+        if own_looks is None or not np.isfinite(now).all():
+            return 0.0
+        like_others = max(compare_appearance(looks, now) for looks in self._met_looks)
+        return compare_appearance(own_looks, now) - like_others
 
     def _exchange(self, other: _Motion) -> None:
         own = self._motion
         assert own is not None
-        own.looks, other.looks = other.looks, own.looks
-        self._others = [own if m is other else m for m in self._others]
+        own.looks, other.looks = self._met_looks[0], own.looks
+        others = [m for m in self._others if m is not other]
+        self._others = [*others, own] if self._is_seen else others
         self._motion = other
+        self._state = SubjectState.TRACKED
         logger.info("The followed person's box was taken back from somebody who passed.")
+
+    def _end_meeting(self) -> None:
+        self._met_looks = []
+        for other in self._others:
+            other.has_met = other.may_be_subject = False
+
+    @property
+    def _is_seen(self) -> bool:
+        """Whether the followed person was observed in the current frame."""
+        is_followed = self._state in {SubjectState.INIT, SubjectState.TRACKED}
+        return is_followed and self._motion is not None and self._motion.age == 0
 
     def _forget_others(self) -> None:
         """Drop bystanders who were not seen for long, sooner where nothing can hide them."""
@@ -652,6 +695,12 @@ def _intersection(a: PersonBox, b: PersonBox) -> float:
     width = min(a.right, b.right) - max(a.left, b.left)
     height = min(a.bottom, b.bottom) - max(a.top, b.top)
     return max(width, 0.0) * max(height, 0.0)
+
+
+def _is_part_of(part: PersonBox, whole: PersonBox) -> bool:
+    """Whether a box is another, or lies inside it."""
+    is_inside = _intersection(part, whole) >= PART_SHARE * _area(part)
+    return part == whole or (is_inside and _area(part) < _area(whole))
 
 
 def _grown(box: PersonBox, factor: float) -> PersonBox:
