@@ -56,6 +56,9 @@ NMS_IOU: Final = 0.3
 HEATMAP_RADIUS: Final = 3
 HEATMAP_MIN_CONFIDENCE: Final = 0.5
 
+HIP_SHARE: Final = 0.4
+"""How far from the middle of a search square hips may lie, as a share of its side: the edge of
+the person's box inside it, for the hips of a bent person lie at the end of the box."""
 HOLD_SHIFT: Final = 0.03
 HOLD_GROWTH: Final = 0.04
 HOLD_TURN_RAD: Final = 0.08
@@ -440,7 +443,7 @@ class PoseFollower:
             Shape (H, W, 3), RGB.
         search
             Upright square in which a person is sought if none is followed; None for the whole
-            picture. With a square, only a person whose hips lie in its middle half is taken.
+            picture. With a square, only a person whose hips lie well within it is taken.
 
         Returns
         -------
@@ -481,7 +484,7 @@ def _choose_detection(found: list[PoseDetection], search: Region | None) -> Pose
         x, y = detection.points[0]
         return float(max(abs(x - search.x), abs(y - search.y)))
 
-    central = [d for d in found if distance(d) <= search.size / 4]
+    central = [d for d in found if distance(d) <= HIP_SHARE * search.size]
     return min(central, key=distance, default=None)
 
 
