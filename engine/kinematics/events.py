@@ -3,7 +3,9 @@
 The hands tell: they come to rest on the load, carry it, stop to let it go. A camera
 does not see whether the hands hold something, so the
 movement between two stops away from the body's side is taken for the loaded one; reaching out
-from hanging arms and returning to them are not. Where that is not certain, the lift says so.
+from hanging arms and returning to them are not. Where that is not certain, the lift says so. What
+could be a lift but was not seen well enough, or is faster than loads are lifted, is left
+out with a warning.
 """
 
 from __future__ import annotations
@@ -33,6 +35,10 @@ KNUCKLE_RATIO = {"male": 0.32, "female": 0.30, None: 0.31}
 MIN_PEAK_SPEED_M_S = 0.25
 MIN_FRAME_RATE_HZ = 15.0
 MIN_PEAK_RATE_HZ = 25.0
+MAX_HAND_SPEED_M_S = 4.0
+"""Far above the speed at which loads are lifted; what is faster is a swing, a throw or an error."""
+MIN_CERTAINTY = 0.3
+"""Below this the estimator says that both hands are hidden, and their path is a guess."""
 STOP_SPEED_M_S = 0.08
 STOP_SHARE = 0.10
 TURN_COSINE = -0.5
@@ -172,8 +178,8 @@ def _view_direction(scene: WorldScene) -> Array:
 
 def _weighted_speed(velocity: Array, scene: WorldScene) -> Array:
     along = _view_direction(scene)
-    ratio = np.nan_to_num(scene.plane_sigma_m / scene.depth_sigma_m, nan=1.0)
-    share = float(np.clip(ratio, 0.0, 1.0)) ** 2
+    is_deep = scene.depth_sigma_m > scene.plane_sigma_m  # False where unknown or without error
+    share = (scene.plane_sigma_m / scene.depth_sigma_m) ** 2 if is_deep else 1.0
     depth = velocity @ along
     across = velocity - depth[:, None] * along
     return np.asarray(np.sqrt((across**2).sum(axis=1) + (share * depth) ** 2))
@@ -198,7 +204,9 @@ def find_moves(
         In order of time.
     """
     speed = np.nan_to_num(hands.speed)
-    peaks, _ = find_peaks(speed, height=MIN_PEAK_SPEED_M_S, prominence=0.08)
+    # Stillness is put before and after the clip, so that a movement cut off there is seen too.
+    peaks, _ = find_peaks(np.pad(speed, 1), height=MIN_PEAK_SPEED_M_S, prominence=0.08)
+    peaks = peaks - 1
     groups: list[list[int]] = []
     for peak in map(int, peaks):
         if groups and _is_same_move(hands, groups[-1][-1], peak):
@@ -306,6 +314,13 @@ def choose_loaded(
         # Pick-and-place work: one direction carries the load, the other returns for the next.
         return (up if len(up) >= len(down) else down), ["one_direction"]
     return between, []
+
+
+def _rise(move: Move, hands: Hands) -> float:
+    """Return how high the hands travel within a movement, m; 0 where they were not seen."""
+    height = hands.mid[move.start : move.end + 1, 1]
+    known = height[np.isfinite(height)]
+    return float(np.ptp(known)) if known.size else 0.0
 
 
 def measure_end(
@@ -464,21 +479,58 @@ def detect_lifts(
     hands = compute_hands(track, scene, sex=sex)
     moves = find_moves(hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share)
     at_rest = find_rest(track, hands, scene, stature_m=stature_m)
-    loaded, doubts = choose_loaded(moves, hands, at_rest, min_rise_m=min_rise_m)
-    lifts, warnings = [], []
+    clear, warnings = [], []
+    for move in moves:
+        objection = _find_objection(
+            move, hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share
+        )
+        if objection is None:
+            clear.append(move)
+        elif _rise(move, hands) >= min_rise_m:
+            warnings.append(_left_out(time_s, move, objection))
+    loaded, doubts = choose_loaded(clear, hands, at_rest, min_rise_m=min_rise_m)
+    lifts = []
     for move in loaded:
         duration = time_s[move.end] - time_s[move.start]
         if not min_duration_s <= duration <= max_duration_s:
-            warnings.append(
-                f"A movement of the hands from {time_s[move.start]:.1f} to "
-                f"{time_s[move.end]:.1f} s was left out: a lift lasts {min_duration_s:g} to "
-                f"{max_duration_s:g} s."
-            )
+            reason = f"a lift lasts {min_duration_s:g} to {max_duration_s:g} s"
+            warnings.append(_left_out(time_s, move, reason))
             continue
         notes = (*doubts, *_notes(track, hands, move, scene, stature_m, max_hand_separation_m))
         lifts.append(_measure_lift(track, angles, hands, scene, move, moves, notes, rate_hz))
     warnings += _explain(doubts, rate_hz)
     return LiftFindings(tuple(lifts), _conditions(track, stature_m), tuple(warnings))
+
+
+def _left_out(time_s: Array, move: Move, reason: str) -> str:
+    return (
+        f"A movement of the hands from {time_s[move.start]:.1f} to {time_s[move.end]:.1f} s was "
+        f"left out: {reason}."
+    )
+
+
+def _find_objection(
+    move: Move, hands: Hands, *, speed_floor_m_s: float, speed_share: float
+) -> str | None:
+    """Say why a movement can't be a lift that was seen from stop to stop; None if it can."""
+    part = slice(move.start, move.end + 1)
+    around = slice(max(move.start - 1, 0), move.end + 2)
+    fastest = float(np.nanmax(hands.speed[part]))
+    if fastest > MAX_HAND_SPEED_M_S:
+        return (
+            f"the hands reach {fastest:.1f} m/s there, and loads are lifted at less than "
+            f"{MAX_HAND_SPEED_M_S:g} m/s"
+        )
+    if not np.isfinite(hands.speed[around]).all():
+        return "the hands were not seen all the time"
+    if float(np.median(hands.certainty[part])) < MIN_CERTAINTY:
+        return "both hands are hidden most of the time, so that their path is a guess"
+    stop = max(speed_floor_m_s, speed_share * fastest)
+    if move.start == 0 and hands.speed[0] > 2 * stop:
+        return "it is under way when the video starts; film the lift from before it begins"
+    if move.end == len(hands.speed) - 1 and hands.speed[-1] > 2 * stop:
+        return "it goes on when the video ends; film until the load is down"
+    return None
 
 
 def _explain(doubts: list[str], rate_hz: float) -> list[str]:
