@@ -94,7 +94,7 @@ class DepthProblem:
         Shape (T, J, 3), lines of sight with unit depth in camera axes, `JOINTS` order; NaN where
         a joint was not seen.
     prior
-        Shape (T, J), m, the network's depths relative to the feet.
+        Shape (T, J), m, the network's depths relative to the feet; NaN where it told none.
     confidence
         Shape (T, J), 0 to 1.
     feet_depth
@@ -200,7 +200,7 @@ def _solve_piece(problem: DepthProblem, settings: DepthSettings) -> Array:
     seen = np.asarray(np.isfinite(problem.rays).all(axis=2))
     rows = _Rows(problem, seen, settings)
     depth = problem.feet_depth[:, None] + np.where(seen, np.nan_to_num(problem.prior), 0.0)
-    depth = _unfold_forearms(problem, rows.rays, depth, settings)
+    depth = _bridge_gaps(_unfold_forearms(rows, depth), problem, seen)
     smoothness = (settings.acceleration_m_s2 * problem.step_s**2) ** -2
     for _ in range(settings.iterations):
         jacobian, residual = rows.evaluate(depth)
@@ -213,14 +213,28 @@ def _solve_piece(problem: DepthProblem, settings: DepthSettings) -> Array:
     return depth
 
 
-def _unfold_forearms(
-    problem: DepthProblem, rays: Array, depth: Array, settings: DepthSettings
-) -> Array:
+def _bridge_gaps(depth: Array, problem: DepthProblem, seen: NDArray[np.bool_]) -> Array:
+    """Start unseen samples between their neighbours in time, so that they do not pull on those."""
+    bridged, frame = depth.copy(), np.arange(len(depth))
+    for joint in range(depth.shape[1]):
+        known = seen[:, joint]
+        if known.all():
+            continue
+        bridged[:, joint] = (
+            np.interp(frame, frame[known], depth[known, joint])
+            if known.any()
+            else problem.feet_depth
+        )
+    return bridged
+
+
+def _unfold_forearms(rows: _Rows, depth: Array) -> Array:
     """Start every forearm on the side of its elbow where an arm can be.
 
     A forearm of known length meets the wrist's line of sight in two places, one
     behind and one before the elbow; the search can't cross from one to the other by itself.
     """
+    problem, rays, settings = rows.problem, rows.rays, rows.settings
     depth = depth.copy()
     forward_sense = problem.right
     for side, outward in (("left", -1.0), ("right", 1.0)):
@@ -248,8 +262,9 @@ def _unfold_forearms(
                 + ((candidate - depth[:, elbow] - np.nan_to_num(told)) / 0.12) ** 2
             )
         chosen = candidates[_steady_choice(candidates, cost), np.arange(len(depth))]
-        depth[:, wrist] = chosen
-        depth[:, hand] = chosen + 0.3 * (chosen - depth[:, elbow])
+        known = rows.seen[:, [elbow, wrist]].all(axis=1)
+        depth[known, wrist] = chosen[known]
+        depth[known, hand] = (chosen + 0.3 * (chosen - depth[:, elbow]))[known]
     return depth
 
 
@@ -303,8 +318,9 @@ class _Rows:
         doubt = 1.0 + settings.hidden_factor * (1.0 - np.nan_to_num(certain, nan=0.5))
         self.length_sigma = problem.length_sigma * doubt
         self.prior_sigma = np.maximum(settings.prior_m, settings.prior_share * problem.lengths)
-        prior = np.nan_to_num(problem.prior)
-        self.prior_difference = prior[:, self.first] - prior[:, self.second]
+        difference = problem.prior[:, self.first] - problem.prior[:, self.second]
+        self.is_told = self.both_seen & np.isfinite(difference)
+        self.prior_difference = np.nan_to_num(difference)
 
     def evaluate(self, depth: Array) -> tuple[Array, Array]:
         """Return the Jacobian (T, R, J) and residuals (T, R) at `depth` (T, J)."""
@@ -347,7 +363,7 @@ class _Rows:
         jacobian[:, row, self.second] = -1.0 / self.prior_sigma
         difference = depth[:, self.first] - depth[:, self.second]
         residual = (difference - self.prior_difference) / self.prior_sigma
-        return self._robust(jacobian, residual, self.both_seen)
+        return self._robust(jacobian, residual, self.is_told)
 
     def _floor(self, points: Array) -> tuple[Array, Array]:
         columns = np.array([_INDEX[n] for n in _FLOOR_JOINTS])

@@ -9,7 +9,7 @@ each of these leaves open is carried along as a standard error.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -138,7 +138,8 @@ def reconstruct_single_view(
     Raises
     ------
     AssessmentError
-        If the estimator gives no body landmarks, or the feet or the head are never seen.
+        If the estimator gives no body landmarks, or the feet or the head are never seen, or not
+        enough of the body between them.
     """
     if pose.body is None:
         raise AssessmentError(
@@ -161,6 +162,9 @@ def reconstruct_single_view(
         pitch_sigma_deg=pitch_sigma_deg,
         roll_sigma_deg=roll_sigma_deg,
     )
+    if not is_known:
+        lens = _lens_tilt_sigma_deg(rays, upright, skeleton, horizontal_fov_deg, fov_sigma_deg)
+        ground = replace(ground, tilt_sigma_deg=float(np.hypot(ground.tilt_sigma_deg, lens)))
     heading = estimate_heading(rays, upright.frames, ground, skeleton, stature_m=stature.value)
     points = _place_points(pose, rays, body, upright, ground, heading, stature.value)
     frame = _world_frame(points, upright.frames, ground, heading, skeleton, stature.value)
@@ -349,6 +353,23 @@ def estimate_ground(
     )
 
 
+def _lens_tilt_sigma_deg(
+    rays: Array,
+    upright: UprightFrames,
+    skeleton: Skeleton,
+    horizontal_fov_deg: float,
+    fov_sigma_deg: float,
+) -> float:
+    """Return by how much an assumed lens may tilt the lines of sight to the feet, degrees.
+
+    A focal length that is wrong by a share turns every line of sight by that share of its angle
+    to the camera's axis.
+    """
+    ankle = np.nanmedian(skeleton.point(rays, "mid_ankle")[upright.frames], axis=0)
+    focal_share = np.radians(fov_sigma_deg) / np.sin(np.radians(horizontal_fov_deg))
+    return float(focal_share * abs(np.degrees(np.arctan(ankle[1]))))
+
+
 def _estimate_pitch(
     ankle: Array,
     ear: Array,
@@ -402,7 +423,13 @@ def _span_depths(up: Array, lower: Array, upper: Array, span_m: float) -> tuple[
 def body_scale(
     body: Array, frames: NDArray[np.bool_], skeleton: Skeleton, *, stature_m: float
 ) -> float:
-    """Return metres per unit of the body landmarks, from the lengths of leg and trunk."""
+    """Return metres per unit of the body landmarks, from the lengths of leg and trunk.
+
+    Raises
+    ------
+    AssessmentError
+        If shoulders, hips, knees and ankles are never seen together in these frames.
+    """
     total = np.zeros(body.shape[0])
     for side in ("left", "right"):
         hip, knee, ankle, shoulder = (
@@ -410,7 +437,13 @@ def body_scale(
         )
         for a, b in ((hip, knee), (knee, ankle), (shoulder, hip)):
             total += 0.5 * np.linalg.norm(a - b, axis=1)
-    return float(SEGMENT_SUM * stature_m / np.nanmedian(total[frames]))
+    known = total[frames][np.isfinite(total[frames])]
+    if not known.size:
+        raise AssessmentError(
+            "The size of the body needs shoulders, hips, knees and ankles, but they were never "
+            "seen together; film the whole person from head to feet with nothing in front."
+        )
+    return float(SEGMENT_SUM * stature_m / np.median(known))
 
 
 def feet_depth(rays: Array, ground: Ground, skeleton: Skeleton, *, stature_m: float) -> Array:
@@ -476,7 +509,10 @@ def _place_points(
     step_s = float(np.median(np.diff(pose.image.time_s))) if len(rays) > 1 else 1.0
     depth = feet_depth(rays, ground, skeleton, stature_m=stature_m)
     told = ground.scale * body[:, :, 2]
-    told = told - skeleton.point(told[:, :, None], "mid_ankle")
+    feet = skeleton.point(told[:, :, None], "mid_ankle")
+    # Only differences within a frame count later; the typical offset serves where an ankle is
+    # missing.
+    told = told - np.where(np.isfinite(feet), feet, np.nanmedian(feet))
     confidence = np.repeat(np.asarray(pose.image.confidence)[:, :, None], 2, axis=2)
     joint_rays = _joint_positions(rays, skeleton)
     lengths, sigma = bone_lengths(joint_rays, ground, upright, stature_m=stature_m)
@@ -550,7 +586,8 @@ def bone_lengths(
         if rule == "standing" and upright.is_found:
             known = float(np.nanmedian(projected[upright.frames][:, rows]))
         elif rule == "longest":
-            known = max(known, float(np.nanpercentile(projected[:, rows], 95)))
+            views = projected[:, rows][np.isfinite(projected[:, rows])]
+            known = max(known, float(np.percentile(views, 95)) if views.size else 0.0)
         lengths[rows], sigma[rows] = known, error * known
     for i, (a, b) in enumerate(BONES):
         if a.split("_", 1)[1] == b.split("_", 1)[1]:
@@ -592,26 +629,30 @@ def estimate_heading(
     rays
         Shape (T, K, 3), lines of sight with unit depth.
     frames
-        Standing frames; the first second of them is used.
+        Standing frames; the first thirty of them in which a foot is seen are used.
     ground
         Upward direction and floor.
 
     Returns
     -------
     Heading
-        A horizontal unit vector, the mean of both feet; the standard error joins how much the
-        feet's own direction scatters and how much a foot's keypoints are worth.
+        A horizontal unit vector, the mean of both feet. Its standard error is a typical one: how
+        much people turn their toes out and how much a foot's keypoints are worth.
 
     Raises
     ------
     AssessmentError
         If no foot was seen in the standing frames.
     """
-    first = np.flatnonzero(frames)[:30]
+    parts = [skeleton.index(f"{s}_{n}") for s in ("left", "right") for n in ("heel", "big_toe")]
+    seen = np.isfinite(rays[:, parts]).all(axis=2)
+    has_foot = (seen[:, 0] & seen[:, 1]) | (seen[:, 2] & seen[:, 3])
+    first = np.flatnonzero(frames & has_foot)[:30]
     height = ground.floor_height + FOOT_POINT_M
 
     def on_floor(name: str) -> Array:
         ray = rays[first][:, skeleton.index(name)]
+        # A foot above the horizon can't be on the floor; the limit keeps it before the camera.
         below = np.minimum(ray @ ground.up, -0.02)
         return np.asarray(ray * (height / below)[:, None])
 
@@ -620,7 +661,7 @@ def estimate_heading(
     units = [u for u in units if np.isfinite(u).all()]
     if not units:
         raise AssessmentError(
-            "The forward direction needs the feet in the first standing frames, but they were "
+            "The forward direction needs heel and toes of a foot in standing frames, but they were "
             "not seen; film the whole person from head to feet."
         )
     mean = _horizontal_unit(np.mean(units, axis=0), ground.up)
