@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import platform
-import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,6 +34,7 @@ from engine.errors import ConfigError
 from engine.kinematics.events import LiftFindings, detect_lifts
 from engine.kinematics.fitting.base import add_scene_errors, select_solver
 from engine.pose.base import create_backend
+from engine.storage.atomic import scratch_folder
 from engine.storage.results import check_target, write_result
 from engine.subject.detector import PersonDetector
 from engine.subject.tracker import follow_person
@@ -267,10 +266,11 @@ def assess_to_folder(
         If the folder can't be written.
     """
     folder = check_target(folder)
+    with scratch_folder(folder):
+        pass  # a disk that takes nothing is found out now, not after the long work
     result = assess(trial, config, progress)
     timings = dict(result.timings_s)
-    scratch = Path(tempfile.mkdtemp(prefix=".liftlens-", dir=folder.parent))
-    try:
+    with scratch_folder(folder) as scratch:
         overlay = thumbnail = None
         if config.output.overlay:
             with _timed(timings, "overlay"):
@@ -289,9 +289,8 @@ def assess_to_folder(
                 overlay, scratch / "thumbnail.jpg", at_s=_telling_moment(result)
             )
         result = dataclasses.replace(result, timings_s=timings)
+        progress("write", 0, 0)
         return write_result(result, folder, overlay=overlay, thumbnail=thumbnail)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _telling_moment(result: TrialResult) -> float:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import shutil
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
 from engine.errors import OutputError
 
-__all__ = ["PARTIAL_SUFFIX", "explain_os_errors", "hidden_sibling", "write_aside"]
+__all__ = [
+    "PARTIAL_SUFFIX",
+    "explain_os_errors",
+    "hidden_sibling",
+    "scratch_folder",
+    "write_aside",
+]
 
 PARTIAL_SUFFIX = ".partial"
 """Names of files and folders being written or removed end so, and start with a dot."""
@@ -22,6 +29,7 @@ _REASONS = {
     errno.EACCES: ("you may not write there", "choose a folder of your own"),
     errno.EPERM: ("you may not write there", "choose a folder of your own"),
     errno.EROFS: ("the disk is read-only", "choose another disk"),
+    errno.ENOENT: ("nothing can be made there", "choose a folder of your own"),
     errno.ENOTDIR: ("a part of its path is a file", "choose another folder"),
     errno.ENAMETOOLONG: ("its name is too long", "choose a shorter name"),
 }
@@ -41,6 +49,30 @@ def write_aside(path: Path) -> Iterator[Path]:
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def scratch_folder(target: Path) -> Iterator[Path]:
+    """Give a hidden folder beside `target` that vanishes at the end, whatever happens.
+
+    Folders above it that are missing are made, and removed again while they are empty.
+
+    Raises
+    ------
+    OutputError
+        If nothing can be made there.
+    """
+    new_parents = [parent for parent in target.parents if not parent.exists()]
+    scratch = hidden_sibling(target)
+    try:
+        with explain_os_errors(target):
+            scratch.mkdir(parents=True)
+        yield scratch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        for parent in new_parents:
+            with contextlib.suppress(OSError):
+                parent.rmdir()
 
 
 @contextlib.contextmanager
