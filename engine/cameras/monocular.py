@@ -296,7 +296,8 @@ class Ground:
 def up_direction(pitch_deg: float | Array, roll_deg: float) -> Array:
     """Return the upward unit vector in camera axes, shape (..., 3).
 
-    A camera that looks down has positive pitch.
+    A camera that looks down has positive pitch; with positive roll the vertical leans to the
+    right in the picture.
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
     return np.stack(
@@ -645,7 +646,7 @@ def estimate_heading(
         If no foot was seen in the standing frames.
     """
     parts = [skeleton.index(f"{s}_{n}") for s in ("left", "right") for n in ("heel", "big_toe")]
-    seen = np.isfinite(rays[:, parts]).all(axis=2)
+    seen = np.asarray(np.isfinite(rays[:, parts]).all(axis=2))
     has_foot = (seen[:, 0] & seen[:, 1]) | (seen[:, 2] & seen[:, 3])
     first = np.flatnonzero(frames & has_foot)[:30]
     height = ground.floor_height + FOOT_POINT_M

@@ -104,7 +104,7 @@ def place_camera(
     """Place a camera that looks towards the world's vertical axis.
 
     Azimuth counts from the subject's front to the right; a camera that looks down has positive
-    pitch; one that is rolled clockwise (seen from behind it) has positive roll.
+    pitch; with positive roll the vertical leans to the right in the picture.
     """
     azimuth = np.radians(azimuth_deg)
     centre = np.array([distance_m * np.cos(azimuth), height_m, distance_m * np.sin(azimuth)])
@@ -120,7 +120,7 @@ def place_camera(
         ]
     )
     about_z = np.array(
-        [[np.cos(roll), np.sin(roll), 0], [-np.sin(roll), np.cos(roll), 0], [0, 0, 1]]
+        [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]]
     )
     rotation = about_z @ about_x @ level
     matrix = np.array(

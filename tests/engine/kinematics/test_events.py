@@ -153,7 +153,7 @@ def pose_figure(hands: Array, inclination_deg: Array, separation_m: float) -> Ar
     position[:, upper, 0] = np.cos(angle) * x + np.sin(angle) * y
     position[:, upper, 1] = PELVIS_Y - np.sin(angle) * x + np.cos(angle) * y
     for side, sign in (("left", -1.0), ("right", 1.0)):
-        hand = hands + [0.0, 0.0, sign * separation_m / 2]
+        hand = hands + np.array([0.0, 0.0, sign * separation_m / 2])
         for part in ("wrist", "index", "pinky", "thumb"):
             position[:, COLUMN[f"{side}_{part}"]] = hand
         shoulder = position[:, COLUMN[f"{side}_shoulder"]]
