@@ -26,10 +26,10 @@ help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
 
 demo: .venv/.installed
-	$(BIN)/python -m engine.cli demo $(ARGS)
+	$(BIN)/python -m engine.cli_start demo $(ARGS)
 
 serve: .venv/.installed
-	$(BIN)/python -m engine.cli serve $(ARGS)
+	$(BIN)/python -m engine.cli_start serve $(ARGS)
 
 test: .venv/.installed-dev chromium
 	$(BIN)/python -m pytest $(ARGS)

@@ -19,6 +19,13 @@ from typing import TYPE_CHECKING, Annotated, ParamSpec
 
 import typer
 
+from engine.cli_start import (
+    CANCELLED_EXIT_CODE,
+    guard_start,
+    ignore_interrupts,
+    release_start,
+)
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -27,7 +34,6 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-CANCELLED_EXIT_CODE = 130
 UNEXPECTED_EXIT_CODE = 1
 REPORT_HINT = "run the same command with --debug and report what it prints."
 
@@ -50,6 +56,7 @@ Quiet = Annotated[bool | None, typer.Option("--quiet", help="No progress on stde
 
 def main() -> None:
     """Run the command line."""
+    guard_start()
     app()
 
 
@@ -59,13 +66,14 @@ def _one_sentence(command: Callable[P, None]) -> Callable[P, None]:
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
         is_debug = bool(kwargs.get("debug"))
+        release_start()
         _set_up_logging(is_debug=is_debug)
         try:
             command(*args, **kwargs)
         except (typer.Exit, typer.Abort):
             raise
         except KeyboardInterrupt:
-            _fail("Stopped; nothing was kept.", CANCELLED_EXIT_CODE)
+            _fail("Stopped; nothing was kept of what was unfinished.", CANCELLED_EXIT_CODE)
         except BrokenPipeError:
             # The reader (`| head`) has what it wanted; the interpreter must not flush again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -90,6 +98,8 @@ def _explain(error: Exception) -> tuple[str, int]:
 
 
 def _fail(sentence: str, exit_code: int) -> None:
+    if exit_code == CANCELLED_EXIT_CODE:
+        ignore_interrupts()
     typer.echo("Error: " + " ".join(sentence.split()), err=True)
     raise typer.Exit(exit_code)
 
@@ -224,15 +234,13 @@ def _assess(settings: AssessSettings) -> None:
 def _run_pipeline(settings: AssessSettings, folder: Path) -> Path:
     from engine.cli_output import show_progress, stop_on_signal
 
-    with (
-        show_progress(is_quiet=settings.is_quiet) as shown,
-        stop_on_signal(shown) as progress,
-    ):
-        progress("start", 0, 0)
-        # Imported under the signal handler: it takes seconds, and Ctrl-C should count.
+    with show_progress(is_quiet=settings.is_quiet) as shown:
+        shown("start", 0, 0)
+        # It takes seconds, and Ctrl-C may interrupt it at any moment: nothing is written yet.
         from engine.pipeline import assess_to_folder
 
-        return assess_to_folder(settings.trial, settings.config, folder, progress)
+        with stop_on_signal(shown) as progress:
+            return assess_to_folder(settings.trial, settings.config, folder, progress)
 
 
 @app.command()

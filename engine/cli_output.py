@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from types import FrameType
 from typing import Any
@@ -42,6 +43,8 @@ STAGES: Mapping[str, str] = {
     "overlay": "Drawing the annotated video",
     "write": "Saving the result",
 }
+CLEAN_UP_S = 3.0
+"""So long after the second Ctrl-C further ones are ignored: cleaning up takes a moment."""
 CANCELLED_TEXT = "The assessment was stopped; nothing was kept."
 
 
@@ -55,19 +58,24 @@ def stop_on_signal(progress: ProgressCallback) -> Iterator[ProgressCallback]:
     """Turn Ctrl-C into `Cancelled` at the next report of progress; a second one stops at once.
 
     A flag rather than an exception from nowhere: native code and clean-up are never
-    interrupted half way. A third Ctrl-C ends the process the hard way.
+    interrupted half way. Further ones are ignored while the second is cleaned up after; if
+    that takes long, they end the process the hard way.
     """
     asked = 0
+    interrupted_s = 0.0
 
     def ask(number: int, _frame: FrameType | None) -> None:
-        nonlocal asked
+        nonlocal asked, interrupted_s
         asked += 1
         if asked == 1:
             # Not sys.stderr, which may be in the middle of a write of its own.
             os.write(2, b"\nStopping ... (press Ctrl-C again to stop at once)\n")
-        else:
-            signal.signal(number, signal.SIG_DFL)
+        elif asked == 2:
+            interrupted_s = time.monotonic()
             raise KeyboardInterrupt
+        elif time.monotonic() - interrupted_s > CLEAN_UP_S:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
 
     def report(stage: str, done: int, total: int) -> None:
         if asked:
@@ -81,6 +89,8 @@ def stop_on_signal(progress: ProgressCallback) -> Iterator[ProgressCallback]:
     earlier = [signal.signal(number, ask) for number in numbers]
     try:
         yield report
+        if asked:
+            os.write(2, b"It was already done; the result is kept.\n")
     finally:
         for number, handler in zip(numbers, earlier, strict=True):
             signal.signal(number, handler)

@@ -85,6 +85,7 @@ def assess(
     start = time.perf_counter()
     pose = estimate_view(trial.views[0], config, progress)
     spent = time.perf_counter() - start
+    progress("scene", 0, 0)
     result = assess_pose(trial, pose, config)
     timings = {"pose": spent, "networks": pose.model_time_s, **result.timings_s}
     return dataclasses.replace(result, timings_s=timings)
@@ -162,9 +163,14 @@ MEASURED_KEYPOINTS = tuple(
 
 def estimate_view(view: View, config: Config, progress: ProgressCallback) -> ViewPose:
     """Read one video, follow the person and estimate the pose, in one pass over the pictures."""
+    # Networks take a second to load: between them is a chance to cancel.
+    progress("probe", 0, 0)
     info = probe_video(view.path)
+    progress("subject", 0, 0)
     backend = create_backend(config.pose)
+    progress("subject", 0, 0)
     detector = PersonDetector(threads=config.pose.threads)
+    progress("subject", 0, 0)
     frames = read_frames(view.path, start_s=config.video.start_s, stop_s=config.video.stop_s)
     tracked = follow_person(frames, detector, **dataclasses.asdict(config.subject))
     pose = backend.estimate(tracked, info, progress)
