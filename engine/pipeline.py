@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import platform
 import time
 from collections.abc import Iterator
@@ -30,7 +31,7 @@ from engine.datatypes import (
 from engine.ergonomics.assess import assess_risk
 from engine.ergonomics.base import Exposure, select_methods
 from engine.ergonomics.flags import raise_flags
-from engine.errors import ConfigError
+from engine.errors import ConfigError, VideoError
 from engine.kinematics.events import LiftFindings, detect_lifts
 from engine.kinematics.fitting.base import add_scene_errors, select_solver
 from engine.pose.base import create_backend
@@ -41,6 +42,7 @@ from engine.subject.tracker import follow_person
 from engine.version import __version__, list_versions
 from engine.video.overlay import write_overlay
 from engine.video.reader import probe_video, read_frames
+from engine.video.steadiness import CameraWatch
 from engine.video.thumbnail import write_thumbnail
 
 __all__ = ["assess", "assess_pose", "assess_to_folder"]
@@ -75,6 +77,8 @@ def assess(
         If there is nobody to measure.
     BackendUnavailable
         If the estimator or a part of it is missing.
+    AssessmentError
+        If the video doesn't show enough of the person to find scale and direction.
     """
     config = config or Config()
     if len(trial.views) != 1:
@@ -107,6 +111,13 @@ def assess_pose(trial: Trial, pose: ViewPose, config: Config | None = None) -> T
     -------
     TrialResult
         Nothing is written.
+
+    Raises
+    ------
+    AssessmentError
+        If the keypoints don't show enough of the person to find scale and direction.
+    ConfigError
+        If a setting can't be followed.
     """
     # Thousands of tiny matrices: handing each to several threads costs a hundred times the work.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -153,6 +164,12 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
     )
 
 
+CAMERA_TRAVEL = "camera_travel"
+"""Key of the camera's travel, a share of the picture, in the provenance of the image track."""
+STEADY_TRAVEL = 0.005
+"""Up to this travel a camera counts as fixed; one on a tripod stays below a tenth of it."""
+SHORT_CLIP_S = 1.0
+
 MEASURED_KEYPOINTS = tuple(
     f"{side}_{part}"
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "heel", "big_toe")
@@ -173,8 +190,21 @@ def estimate_view(view: View, config: Config, progress: ProgressCallback) -> Vie
     progress("subject", 0, 0)
     frames = read_frames(view.path, start_s=config.video.start_s, stop_s=config.video.stop_s)
     tracked = follow_person(frames, detector, **dataclasses.asdict(config.subject))
-    pose = backend.estimate(tracked, info, progress)
-    return dataclasses.replace(pose, model_time_s=pose.model_time_s + detector.model_time_s)
+    camera = CameraWatch()
+    pose = backend.estimate(camera.watch(tracked), info, progress)
+    if pose.image.n_frames < 2:
+        raise VideoError(
+            f"Expected a video of a movement, but {info.file_name} holds a single picture in the "
+            "part to assess; film the whole lift, with a second of standing before and after."
+        )
+    provenance = dict(pose.image.provenance)
+    if not math.isnan(camera.travel):
+        provenance[CAMERA_TRAVEL] = camera.travel
+    return dataclasses.replace(
+        pose,
+        image=dataclasses.replace(pose.image, provenance=provenance),
+        model_time_s=pose.model_time_s + detector.model_time_s,
+    )
 
 
 def _assess_risk(
@@ -216,6 +246,7 @@ def _find_lifts(
 
 def _warn(trial: Trial, pose: ViewPose, scene: WorldScene) -> Iterator[str]:
     """Say in plain words what makes this assessment less certain."""
+    yield from _warn_of_video(pose)
     if trial.subject.stature_m is None:
         yield (
             f"Stature not given: {trial.subject.stature.value:.2f} m assumed, so all lengths are "
@@ -225,6 +256,23 @@ def _warn(trial: Trial, pose: ViewPose, scene: WorldScene) -> Iterator[str]:
         yield (
             "The person never stands upright in the video, so scale and floor are uncertain by "
             f"about {100 * scene.scale_sigma:.0f} %. Film a second of upright standing."
+        )
+
+
+def _warn_of_video(pose: ViewPose) -> Iterator[str]:
+    duration_s = float(pose.image.time_s[-1] - pose.image.time_s[0])
+    if duration_s < SHORT_CLIP_S:
+        yield (
+            f"Only {duration_s:.1f} s ({pose.image.n_frames} pictures) were assessed, too little "
+            "for a whole lift. Film from a second before the load is touched to a second after it "
+            "is set down."
+        )
+    travel = pose.image.provenance.get(CAMERA_TRAVEL, math.nan)
+    if travel > STEADY_TRAVEL:
+        yield (
+            f"The camera moved: the background travelled by {100 * travel:.1f} % of the picture. "
+            "Distances and heights of the hands are less certain than their stated errors say. "
+            "Put the camera on a tripod or a table and film again."
         )
     lost = int(np.isnan(pose.box).any(axis=1).sum())
     if lost:

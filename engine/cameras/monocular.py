@@ -222,7 +222,8 @@ def find_upright_frames(body: Array, rays: Array, skeleton: Skeleton) -> Upright
     """Find the frames in which the person stands straight.
 
     Legs and trunk are within 30 degrees of one line in the body landmarks and the
-    span from ankle to ear reaches 96 % of its largest value in the picture.
+    span from ankle to ear reaches 96 % of its largest value (98th percentile) in the picture.
+    Fewer than five such frames (or than the clip has) count as none.
 
     Parameters
     ----------

@@ -201,7 +201,8 @@ def find_moves(
     Returns
     -------
     list of Move
-        In order of time.
+        In order of time. One that is under way at the clip's first or last frame starts or ends
+        there, above the threshold.
     """
     speed = np.nan_to_num(hands.speed)
     # Stillness is put before and after the clip, so that a movement cut off there is seen too.
@@ -464,7 +465,10 @@ def detect_lifts(
     Returns
     -------
     LiftFindings
-        Lifts in order of time; notes and conditions are the keys the risk methods know.
+        Lifts in order of time; notes and conditions are the keys the risk methods know. A movement
+        that rises far enough but can't be a lift that was seen whole (hands faster than 4 m/s, not
+        seen all the time, both hidden, cut off by the clip's ends, too short or too long) is named
+        in the warnings instead.
     """
     time_s = np.asarray(track.time_s)
     if len(time_s) < 3:
