@@ -68,6 +68,9 @@ def scratch_folder(target: Path) -> Iterator[Path]:
         with explain_os_errors(target):
             scratch.mkdir(parents=True)
         yield scratch
+    except OutputError as error:
+        # A user knows the folder that was asked for, not the one beside it.
+        raise OutputError(str(error).replace(str(scratch), str(target))) from error
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
         for parent in new_parents:
