@@ -15,7 +15,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ParamSpec
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import typer
 
@@ -48,6 +48,21 @@ app = typer.Typer(
 )
 
 P = ParamSpec("P")
+
+
+def _number(text: str) -> float:
+    """Return an option's number; say what is wrong with it as a person would."""
+    try:
+        return float(text)
+    except ValueError:
+        hint = f"; write {text.replace(',', '.')}, with a point" if "," in text else ""
+        raise typer.BadParameter(f"expected a number, got {text!r}{hint}.") from None
+
+
+def _number_option(description: str) -> Any:
+    return typer.Option(parser=_number, metavar="NUMBER", help=description)
+
+
 Debug = Annotated[
     bool, typer.Option("--debug", envvar="LIFTLENS_DEBUG", help="Show tracebacks and log messages.")
 ]
@@ -140,20 +155,20 @@ def assess(
         str | None, typer.Option(help="What turns keypoints into joint angles.")
     ] = None,
     stature: Annotated[
-        float | None, typer.Option(help="The person's stature in metres, for example 1.75.")
+        float | None, _number_option("The person's stature in metres, for example 1.75.")
     ] = None,
-    mass: Annotated[float | None, typer.Option(help="The person's body mass in kg.")] = None,
+    mass: Annotated[float | None, _number_option("The person's body mass in kg.")] = None,
     sex: Annotated[str | None, typer.Option(help="female or male.")] = None,
-    age: Annotated[float | None, typer.Option(help="The person's age in years.")] = None,
-    load: Annotated[float | None, typer.Option(help="What is lifted, in kg.")] = None,
+    age: Annotated[float | None, _number_option("The person's age in years.")] = None,
+    load: Annotated[float | None, _number_option("What is lifted, in kg.")] = None,
     hands: Annotated[int | None, typer.Option(help="Hands on the load, 1 or 2.")] = None,
     coupling: Annotated[
         str | None, typer.Option(help="How well the hands hold the load: good, fair or poor.")
     ] = None,
-    frequency: Annotated[float | None, typer.Option(help="Lifts per minute.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Hours of lifting in a row.")] = None,
+    frequency: Annotated[float | None, _number_option("Lifts per minute.")] = None,
+    duration: Annotated[float | None, _number_option("Hours of lifting in a row.")] = None,
     recovery: Annotated[
-        float | None, typer.Option(help="Hours of light work that follow the lifting.")
+        float | None, _number_option("Hours of light work that follow the lifting.")
     ] = None,
     destination_control: Annotated[
         bool | None,
@@ -186,8 +201,8 @@ def assess(
     methods: Annotated[
         str | None, typer.Option(help="Risk methods, as A,B; see `liftlens methods`.")
     ] = None,
-    start: Annotated[float | None, typer.Option(help="Start of the part to assess, in s.")] = None,
-    stop: Annotated[float | None, typer.Option(help="End of the part to assess, in s.")] = None,
+    start: Annotated[float | None, _number_option("Start of the part to assess, in s.")] = None,
+    stop: Annotated[float | None, _number_option("End of the part to assess, in s.")] = None,
     box: Annotated[
         str | None,
         typer.Option(help="The person in the first frame, as LEFT,TOP,RIGHT,BOTTOM in px."),

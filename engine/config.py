@@ -254,7 +254,10 @@ def read_config(path: Path) -> dict[str, dict[str, Any]]:
             f"The configuration file {path} can't be read ({error.strerror}); check its path."
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}.") from error
+        raise ConfigError(
+            f"{path} is not valid TOML: {error}. Expected tables such as [person] with lines such "
+            "as stature_m = 1.75 below them; correct that place."
+        ) from error
 
 
 def build_config(tables: dict[str, Any]) -> Config:

@@ -222,8 +222,8 @@ class Subject:
 
     def __post_init__(self) -> None:
         _require_range("Stature", self.stature_m, *STATURE_M, "m", _hint_stature(self.stature_m))
-        _require_range("Body mass", self.mass_kg, 25.0, 300.0, "kg")
-        _require_range("Age", self.age_y, 10.0, 100.0, "years")
+        _require_range("Body mass", self.mass_kg, 25.0, 300.0, "kg", "Leave it out if unknown.")
+        _require_range("Age", self.age_y, 10.0, 100.0, "years", "Leave it out if unknown.")
         if self.sex not in (None, "female", "male"):
             raise ConfigError(f"Sex must be 'female' or 'male', or left out; got {self.sex!r}.")
 
@@ -265,10 +265,13 @@ class Task:
     notes: str = ""
 
     def __post_init__(self) -> None:
-        _require_range("Load", self.load_kg, 0.0, 500.0, "kg")
-        _require_range("Lifting frequency", self.frequency_per_min, 0.0, 60.0, "lifts per minute")
-        _require_range("Duration", self.duration_h, 0.0, 24.0, "hours")
-        _require_range("Recovery", self.recovery_h, 0.0, 24.0, "hours")
+        hint = "Correct it, or leave it out if unknown."
+        _require_range("Load", self.load_kg, 0.0, 500.0, "kg", hint)
+        _require_range(
+            "Lifting frequency", self.frequency_per_min, 0.0, 60.0, "lifts per minute", hint
+        )
+        _require_range("Duration", self.duration_h, 0.0, 24.0, "hours", hint)
+        _require_range("Recovery", self.recovery_h, 0.0, 24.0, "hours", hint)
         if self.hands not in (None, 1, 2):
             raise ConfigError(f"Hands must be 1 or 2, got {self.hands!r}.")
         if self.coupling is not None:

@@ -167,9 +167,10 @@ def _read_part(
     if math.isnan(time_s):
         _raise_undecodable(path)
     if index == 0:
+        part = f"from {start_s:g} s on" if math.isinf(stop_s) else f"{start_s:g} to {stop_s:g} s"
         raise VideoError(
-            f"Nothing of {path.name} lies between {start_s:g} s and {stop_s:g} s: "
-            f"its last picture is at {time_s:.2f} s. Choose a part within the video."
+            f"{path.name} has no picture in the part asked for ({part}): "
+            f"its last one is at {time_s:.2f} s. Choose a part within the video."
         )
 
 
