@@ -122,7 +122,7 @@ class TestRows:
     def test_jacobian_is_the_derivative_of_the_residuals(self, case, block, seed):
         # Far from the truth, so that forearms point outwards; and with the right side called the
         # left, so that elbows and knees bend the wrong way.
-        frames = slice(60, 90)
+        frames = slice(60, 90, 5)
         problem = dataclasses.replace(
             case.problem,
             right=(-1 if block == "hinges" else 1) * case.problem.right,
@@ -131,7 +131,7 @@ class TestRows:
                 for name in ("rays", "prior", "confidence", "feet_depth", "is_standing")
             },
         )
-        noise = np.random.default_rng(seed).standard_normal((30, len(JOINTS)))
+        noise = np.random.default_rng(seed).standard_normal((6, len(JOINTS)))
         depth = case.depth[frames] + 0.12 * noise
         statements = rows(problem)
         jacobian, residual = plain(block, *statements.evaluate(depth))
@@ -230,7 +230,7 @@ class TestSolve:
         assert np.abs(solve_depths(problem) - case.depth[:n_frames]).max() < 0.12
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(
     candidates=arrays(float, (2, 7), elements=st.floats(2.0, 4.0)),
     cost=arrays(float, (2, 7), elements=st.floats(0.0, 60.0)),
