@@ -48,7 +48,7 @@ WEAK_IOU: Final = 0.7
 """A box that lies where it is expected counts with less confidence too."""
 SURE_CONFIDENCE: Final = 0.5
 SURE_IOU: Final = 0.5
-OTHER_THRESHOLD: Final = 0.4
+OTHER_THRESHOLD: Final = 0.3
 """Least confidence of a new bystander; weaker boxes are mostly furniture."""
 PART_SHARE: Final = 0.7
 """A box that lies this much inside the followed one is taken for a part of it."""
@@ -64,6 +64,8 @@ LOOKS_MARGIN: Final = 0.06
 MAX_CHECKS: Final = 10
 """Looks after people came apart, until who is who is taken as settled."""
 LOOKS_GAIN: Final = 0.3
+SAME_LOOKS: Final = 0.85
+"""Below this somebody else may have come into the box unseen; nothing is learnt from it."""
 DAMPING: Final = 0.95
 """Of the velocity per frame that is predicted: nobody keeps going for long."""
 VELOCITY_GAIN: Final = 0.5
@@ -200,11 +202,18 @@ class _Motion:
         self.box = self.observed = box
         self.age = self.n_missed = 0
 
+    def move_to(self, box: PersonBox) -> None:
+        """Take another box without a change of velocity."""
+        self.box = self.observed = box
+        self.age = self.n_missed = 0
+
     def learn(self, looks: Array) -> None:
         """Take the appearance of the box just observed."""
         if not np.isfinite(looks).all():
             return
         old = looks if self.looks is None else self.looks
+        if compare_appearance(old, looks) < SAME_LOOKS:
+            return
         self.looks = (1 - LOOKS_GAIN) * old + LOOKS_GAIN * looks
 
 
@@ -263,6 +272,7 @@ class PersonTracker:
         self._interval = 1
         self._until_look = 0
         self._frames_held = 0
+        self._is_meeting = False
         self._met_looks: list[Array] = []
         self._n_checks = 0
 
@@ -467,7 +477,7 @@ class PersonTracker:
         if self._motion is None:
             return
         is_lost = self._state is SubjectState.LOST
-        is_hidden = not self._is_seen or bool(self._met_looks)
+        is_hidden = not self._is_seen or self._is_meeting
         known = [m.observed for m in self._others]
         if not is_lost:
             known.append(self._motion.box)
@@ -484,38 +494,52 @@ class PersonTracker:
         own = self._motion
         if own is None:
             return
-        seen = [m for m in self._others if m.age == 0]
         covering = [m for m in self._others if compute_iou(own.box, m.box) > COVERED_IOU]
-        if covering:
-            self._meet(covering)
-        elif self._met_looks:
-            self._check_looks([m for m in seen if m.has_met or m.may_be_subject], describe)
+        self._meet(covering)
+        if self._is_meeting:
+            self._check_looks(describe)
         elif self._is_seen:
-            for motion in (own, *seen):
+            for motion in (own, *(m for m in self._others if m.age == 0)):
                 motion.learn(describe(motion.box))
 
     def _meet(self, covering: Sequence[_Motion]) -> None:
         for other in covering:
+            self._is_meeting = True
             if not other.has_met and other.looks is not None:
                 self._met_looks.append(other.looks)
             other.has_met = True
-        self._n_checks = 0
+            if other.age == 0:
+                self._n_checks = 0
 
-    def _check_looks(self, candidates: Sequence[_Motion], describe: Describer) -> None:
+    def _check_looks(self, describe: Describer) -> None:
         """Follow whom looks most like the person did before the meeting."""
         own = self._motion
         assert own is not None
-        if own.looks is None or any(compute_iou(own.box, c.box) > APART_IOU for c in candidates):
+        if own.looks is None or (self._is_seen and not self._is_clear(own)):
             return
+        if not self._is_seen and not self._met_looks:
+            return
+        candidates = [
+            m for m in self._others if (m.has_met or m.may_be_subject) and self._is_clear(m)
+        ]
         kept = self._compare_with_own(own, describe) if self._is_seen else 0.0
         gains = [self._compare_with_own(c, describe) - kept for c in candidates]
         if gains and max(gains) > LOOKS_MARGIN:
             self._exchange(candidates[gains.index(max(gains))])
-            self._end_meeting()
             return
         self._n_checks += self._is_seen
         if self._n_checks >= MAX_CHECKS:
             self._end_meeting()
+
+    def _is_clear(self, motion: _Motion) -> bool:
+        """Whether somebody is seen in the current frame, and nobody before or behind them."""
+        assert self._motion is not None
+        seen = [m for m in self._others if m.age == 0]
+        if self._is_seen:
+            seen.append(self._motion)
+        return motion in seen and all(
+            m is motion or compute_iou(motion.box, m.box) <= APART_IOU for m in seen
+        )
 
     def _compare_with_own(self, motion: _Motion, describe: Describer) -> float:
         """Return how much more somebody looks like the followed person than like who was met."""
@@ -524,20 +548,27 @@ class PersonTracker:
         now = describe(motion.box)
         if own_looks is None or not np.isfinite(now).all():
             return 0.0
-        like_others = max(compare_appearance(looks, now) for looks in self._met_looks)
+        like_others = max((compare_appearance(m, now) for m in self._met_looks), default=0.0)
         return compare_appearance(own_looks, now) - like_others
 
     def _exchange(self, other: _Motion) -> None:
+        """Follow the person in a bystander's box."""
         own = self._motion
         assert own is not None
-        own.looks, other.looks = self._met_looks[0], own.looks
-        others = [m for m in self._others if m is not other]
-        self._others = [*others, own] if self._is_seen else others
-        self._motion = other
-        self._state = SubjectState.TRACKED
         logger.info("The followed person's box was taken back from somebody who passed.")
+        if self._is_seen:
+            own.looks, other.looks = next(iter(self._met_looks), None), own.looks
+            self._others = [own if m is other else m for m in self._others]
+            self._motion = other
+            self._end_meeting()
+        else:
+            # The other one must be hidden now, and comes out where they were going.
+            own.move_to(other.box)
+            other.n_missed = 0
+            self._state = SubjectState.TRACKED
 
     def _end_meeting(self) -> None:
+        self._is_meeting = False
         self._met_looks = []
         for other in self._others:
             other.has_met = other.may_be_subject = False

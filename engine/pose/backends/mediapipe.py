@@ -236,10 +236,10 @@ class _AssociatedFollower:
             landmarks = self._start_again(tracked, box, is_observed)
         record.add(tracked, landmarks)
         suspects: list[int] = []
-        if had_slipped and is_observed:
-            was_exchanged = before is not None and compute_box_iou(before, box) < EXCHANGE_IOU
-            suspects = record.rows_of_overlap(row) if was_exchanged else []
-            suspects = suspects or self._find_suspects(record, row, box)
+        if before is not None and compute_box_iou(before, box) < EXCHANGE_IOU:
+            suspects = record.rows_of_overlap(row)
+        elif had_slipped and is_observed:
+            suspects = self._find_suspects(record, row, box)
         if is_observed:
             self._last_good = None if landmarks is None else (row, box)
         return suspects

@@ -234,7 +234,7 @@ def test_crossing_people_keep_their_ways(front):
 
 def test_looks_correct_an_exchange():
     """They meet, one vanishes behind the other, and both turn back: only clothes can tell."""
-    red, blue = np.eye(2)[0], np.eye(2)[1]
+    red, blue = 2 * np.eye(2)  # shares of colours and of brightness sum to 1 each
 
     def way(i: int) -> float:
         return 50 + 8 * min(i, 60 - i)
@@ -256,8 +256,8 @@ def test_looks_correct_an_exchange():
 
         box = tracker.step(seen if tracker.wants_look else None, describe)
         wearing.append(describe(box)[0, 0])
-    assert wearing[0] == 1
-    assert wearing[-1] == 1
+    assert wearing[0] == 2
+    assert wearing[-1] == 2
 
 
 # How often the detector looks
