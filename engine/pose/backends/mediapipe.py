@@ -34,6 +34,7 @@ from engine.pose.blazepose import (
     Landmarks,
     PoseFollower,
     Region,
+    estimate_sigma_px,
 )
 from engine.skeletons import MEDIAPIPE_33
 
@@ -130,6 +131,7 @@ class _Record:
     image: list[Array] = field(default_factory=list)
     body: list[Array] = field(default_factory=list)
     confidence: list[Array] = field(default_factory=list)
+    sigma_px: list[Array] = field(default_factory=list)
     box: list[PersonBox | None] = field(default_factory=list)
     others: list[tuple[PersonBox, ...]] = field(default_factory=list)
 
@@ -141,15 +143,19 @@ class _Record:
             self.image.append(np.full((N_LANDMARKS, 2), np.nan))
             self.body.append(np.full((N_LANDMARKS, 3), np.nan))
             self.confidence.append(np.full(N_LANDMARKS, np.nan))
+            self.sigma_px.append(np.full(N_LANDMARKS, np.nan))
             return
         self.image.append(landmarks.image)
         self.body.append(landmarks.world - landmarks.world[[LEFT_HIP, RIGHT_HIP]].mean(axis=0))
-        self.confidence.append(landmark_confidence(landmarks))
+        confidence = landmark_confidence(landmarks)
+        self.confidence.append(confidence)
+        self.sigma_px.append(estimate_sigma_px(confidence, landmarks.region))
 
     def reject(self, rows: Sequence[int]) -> None:
         for row in rows:
             self.image[row] = np.full((N_LANDMARKS, 2), np.nan)
             self.body[row] = np.full((N_LANDMARKS, 3), np.nan)
+            self.sigma_px[row] = np.full(N_LANDMARKS, np.nan)
 
     def rows_of_overlap(self, row: int) -> list[int]:
         """Return the rows before `row` since the followed person last met somebody."""
@@ -182,6 +188,7 @@ class _Record:
             frame_of_reference="image",
             skeleton=MEDIAPIPE_33.name,
             confidence=confidence,
+            sigma=np.array(self.sigma_px),
             provenance=provenance,
         )
         body = PoseTrack(

@@ -21,6 +21,7 @@ from engine.pose.blazepose import (
     Region,
     crop_matrix,
     decode_detections,
+    estimate_sigma_px,
     hold_region,
     make_anchors,
     merge_detections,
@@ -133,6 +134,12 @@ def test_points_outside_the_crop_stay():
     heatmap = np.full((64, 64, 2), 20.0, np.float32)
     points = np.array([[1.2, 0.5], [0.5, -0.1]])
     np.testing.assert_allclose(refine_by_heatmap(points, heatmap), points)
+
+
+def test_standard_error_grows_as_confidence_falls():
+    confidence = np.array([1.0, 0.7, 0.35, 0.0])
+    sigma_px = estimate_sigma_px(confidence, Region(0, 0, 400))
+    np.testing.assert_allclose(sigma_px, [3.6, 3.6, (3.6 + 20) / 2, 20])
 
 
 @pytest.mark.parametrize("content", [None, b"half a file"], ids=["missing", "damaged"])

@@ -57,6 +57,7 @@ class StandInNetworks:
             visibility=np.full(33, 0.9),
             presence=np.full(33, 0.8),
             flag=1.0 if near else 0.1,
+            region=region,
             next_region=Region(x, 240.0, 400.0),
         )
 
@@ -104,6 +105,7 @@ def test_one_person(networks):
     assert pose.model_time_s == networks.model_time_s
     # The smaller of visibility and presence.
     np.testing.assert_allclose(pose.image.confidence, 0.8)
+    assert (pose.image.sigma > 0).all()
     hips = pose.body.position[:, [23, 24]].mean(axis=1)
     np.testing.assert_allclose(hips, 0.0, atol=1e-12)
 
@@ -134,6 +136,7 @@ def test_frames_between_looks_that_showed_somebody_else_are_removed(networks):
     np.testing.assert_allclose(x[10:], 420, atol=15)
     assert (pose.image.status[9] == Status.MISSING).all()
     assert np.isnan(pose.body.position[9]).all()
+    assert np.isnan(pose.image.sigma[9]).all()
 
 
 def test_hidden_person_is_missing_not_replaced(networks):
