@@ -258,7 +258,7 @@ def _run_pipeline(settings: AssessSettings, folder: Path) -> Path:
             return assess_to_folder(settings.trial, settings.config, folder, progress)
 
 
-@app.command()
+@app.command(short_help="Assess the samples and open the dashboard.")
 @_one_sentence
 def demo(
     serve: Annotated[
@@ -324,7 +324,7 @@ def _list_samples(library: Library, trial_ids: list[str]) -> str:
     return "\n".join(format_columns(titles, rows))
 
 
-@app.command()
+@app.command(short_help="List the estimators and their licences.")
 @_one_sentence
 def backends(debug: Debug = False) -> None:
     """List the estimators, their licences and what is missing to use them."""
@@ -337,7 +337,7 @@ def backends(debug: Debug = False) -> None:
     _print_table(table, empty="No estimator is installed.")
 
 
-@app.command()
+@app.command(short_help="List the risk methods and their sources.")
 @_one_sentence
 def methods(debug: Debug = False) -> None:
     """List the risk methods, their sources and whether they run by default."""

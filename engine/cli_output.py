@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import FrameType
 from typing import Any
 
+from engine.cli_start import is_own_handler
 from engine.datatypes import Lift, LiftEnd, Measurement, ProgressCallback, RiskResult
 from engine.errors import Cancelled
 from engine.storage.results import StoredResult
@@ -44,7 +45,7 @@ STAGES: Mapping[str, str] = {
     "write": "Saving the result",
 }
 CLEAN_UP_S = 3.0
-"""So long after the second Ctrl-C further ones are ignored: cleaning up takes a moment."""
+"""So long further presses of Ctrl-C are ignored while the work is undone."""
 CANCELLED_TEXT = "The assessment was stopped; nothing was kept."
 
 
@@ -57,28 +58,30 @@ def name_stage(stage: str) -> str:
 def stop_on_signal(progress: ProgressCallback) -> Iterator[ProgressCallback]:
     """Turn Ctrl-C into `Cancelled` at the next report of progress; a second one stops at once.
 
-    A flag rather than an exception from nowhere: native code and clean-up are never
-    interrupted half way. Further ones are ignored while the second is cleaned up after; if
-    that takes long, they end the process the hard way.
+    A flag rather than an exception from nowhere: native code is never interrupted half way.
+    While the work is being undone, further ones are ignored; if that takes long, they end the
+    process the hard way.
     """
     asked = 0
-    interrupted_s = 0.0
+    undoing_since_s = math.inf
 
     def ask(number: int, _frame: FrameType | None) -> None:
-        nonlocal asked, interrupted_s
+        nonlocal asked, undoing_since_s
         asked += 1
         if asked == 1:
             # Not sys.stderr, which may be in the middle of a write of its own.
             os.write(2, b"\nStopping ... (press Ctrl-C again to stop at once)\n")
-        elif asked == 2:
-            interrupted_s = time.monotonic()
+        elif math.isinf(undoing_since_s):
+            undoing_since_s = time.monotonic()
             raise KeyboardInterrupt
-        elif time.monotonic() - interrupted_s > CLEAN_UP_S:
+        elif time.monotonic() - undoing_since_s > CLEAN_UP_S:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
 
     def report(stage: str, done: int, total: int) -> None:
+        nonlocal undoing_since_s
         if asked:
+            undoing_since_s = time.monotonic()
             raise Cancelled(CANCELLED_TEXT)
         progress(stage, done, total)
 
@@ -93,7 +96,8 @@ def stop_on_signal(progress: ProgressCallback) -> Iterator[ProgressCallback]:
             os.write(2, b"It was already done; the result is kept.\n")
     finally:
         for number, handler in zip(numbers, earlier, strict=True):
-            signal.signal(number, handler)
+            is_ending = math.isfinite(undoing_since_s) and is_own_handler(handler)
+            signal.signal(number, signal.SIG_IGN if is_ending else handler)
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ import signal
 import threading
 from types import FrameType
 
-__all__ = ["guard_start", "ignore_interrupts", "main", "release_start"]
+__all__ = ["guard_start", "ignore_interrupts", "is_own_handler", "main", "release_start"]
 
 CANCELLED_EXIT_CODE = 130
 
@@ -36,12 +36,14 @@ def release_start() -> None:
         signal.signal(signal.SIGINT, _interrupt)
 
 
-def ignore_interrupts() -> None:
-    """Let nothing disturb the last sentence of a command that is ending.
+def is_own_handler(handler: object) -> bool:
+    """Whether `main` set this handler: as a part of another program it is not ours to change."""
+    return handler is _interrupt
 
-    Only where `main` set the handler: as a part of another program it is not ours.
-    """
-    if signal.getsignal(signal.SIGINT) is _interrupt:
+
+def ignore_interrupts() -> None:
+    """Let nothing disturb the last sentence of a command that is ending."""
+    if is_own_handler(signal.getsignal(signal.SIGINT)):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -55,4 +57,7 @@ def _end(_number: int, _frame: FrameType | None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # Not this copy's `main`: the handlers must be those that the command line knows.
+    from engine.cli_start import main as start
+
+    start()

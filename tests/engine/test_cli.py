@@ -543,11 +543,26 @@ class TestProgress:
         with stop_on_signal(lambda stage, _done, _total: seen.append(stage)) as report:
             report("pose", 0, 1)
             signal.raise_signal(signal.SIGINT)
-            with pytest.raises(Cancelled):
-                report("video", 0, 1)
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
         assert seen == ["pose"]
+
+    @pytest.mark.usefixtures("handlers")
+    def test_what_is_being_undone_is_not_disturbed(self) -> None:
+        with stop_on_signal(lambda *_: None) as report:
+            signal.raise_signal(signal.SIGINT)
+            with pytest.raises(Cancelled):
+                report("video", 0, 1)
+            for _ in range(3):
+                signal.raise_signal(signal.SIGINT)
+
+    @pytest.mark.usefixtures("handlers")
+    def test_a_press_when_all_is_done_says_that_the_result_stays(
+        self, capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        with stop_on_signal(lambda *_: None):
+            signal.raise_signal(signal.SIGINT)
+        assert capfd.readouterr().err.endswith("It was already done; the result is kept.\n")
 
 
 class TestText:
