@@ -142,7 +142,7 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
         findings = _find_lifts(trial, raw, angles, scene, config)
     coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
     with _timed(timings, "risk"):
-        risk = _assess_risk(trial, corrected, angles, findings, config)
+        risk = _assess_risk(trial, scene, corrected, angles, findings, config)
         flags = raise_flags(risk, findings.lifts, coverage)
     return TrialResult(
         trial=trial,
@@ -207,8 +207,17 @@ def estimate_view(view: View, config: Config, progress: ProgressCallback) -> Vie
     )
 
 
+def _doubtful_view(track: PoseTrack, scene: WorldScene) -> Iterator[str]:
+    """Name what makes lengths less certain than their stated errors, so that it is reviewed."""
+    if track.provenance.get(CAMERA_TRAVEL, 0.0) > STEADY_TRAVEL:
+        yield "camera_moved"
+    if not scene.provenance.get("upright_frames"):
+        yield "never_upright"
+
+
 def _assess_risk(
     trial: Trial,
+    scene: WorldScene,
     corrected: PoseTrack,
     angles: JointAngles,
     findings: LiftFindings,
@@ -221,7 +230,7 @@ def _assess_risk(
         subject=trial.subject,
         task=trial.task,
         observed_s=float(corrected.time_s[-1] - corrected.time_s[0]),
-        conditions=findings.conditions,
+        conditions=(*findings.conditions, *_doubtful_view(corrected, scene)),
     )
     return assess_risk(exposure, methods=config.risk.methods, experimental=config.risk.experimental)
 

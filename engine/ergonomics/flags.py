@@ -116,7 +116,8 @@ def _flag_no_lifts() -> Flag:
     return Flag(
         level=FlagLevel.REVIEW,
         what="No lift was found",
-        why="No movement of the hands looks like a lift or a lowering of at least 10 cm.",
+        why="No movement of the hands could be taken for a lift or a lowering of at least 10 cm; "
+        "the notes say what was left out.",
         method="lifts",
         change="Check that the video shows the whole lift, with the hands in view.",
     )

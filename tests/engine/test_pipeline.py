@@ -293,3 +293,15 @@ def cancel_after(count: int) -> Callable[[str, int, int], None]:
             raise Cancelled("Stopped by the test.")
 
     return progress
+
+
+def test_a_camera_that_moved_is_never_let_pass(lift: Truth, seen: ViewPose) -> None:
+    provenance = {**seen.image.provenance, pipeline.CAMERA_TRAVEL: 0.02}
+    image = dataclasses.replace(seen.image, provenance=provenance)
+    result = assess_truth(lift, dataclasses.replace(seen, image=image))
+    assert {flag.level for flag in result.flags} <= {"review", "high"}
+    assert any("camera moved" in flag.why for flag in result.flags)
+
+
+def test_a_steady_camera_is_not_blamed(exact: TrialResult) -> None:
+    assert not any("camera moved" in flag.why for flag in exact.flags)

@@ -95,6 +95,8 @@ REFUSED_CONDITIONS: Mapping[str, str] = {
 DOUBTFUL_CONDITIONS: Mapping[str, str] = {
     "pivot": "the feet turn during the lift, so that the asymmetry angle is less certain",
     "high_speed": "the lift is faster than the equation was made for",
+    "camera_moved": "the camera moved, so distances and heights are less certain than stated",
+    "never_upright": "the person never stands upright in the video, so scale and floor are guesses",
     "ends_at_rest": "the movement ends with hanging arms, so it may be a rise without a load",
 }
 
