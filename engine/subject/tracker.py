@@ -77,6 +77,8 @@ SEARCH_EVERY: Final = 3
 """Frames between looks while nobody is followed."""
 NEAR_EVERY: Final = 1
 UNSURE_EVERY: Final = 2
+MAX_REST_S: Final = 0.5
+"""Longest time between looks, however few frames a second there are."""
 COMPANY_EVERY: Final = 4
 """Frames between looks while somebody else is in the picture, who may come nearer."""
 
@@ -643,9 +645,10 @@ def follow_person(
 ) -> Iterator[TrackedFrame]:
     """Follow one person through a video, in a single pass.
 
-    The detector looks at every `detect_every`-th frame while there is no doubt, at every frame
-    while another person is near, and at every second or third one while the person is
-    uncertain or lost. Between looks the box is predicted.
+    The detector looks at every `detect_every`-th frame while there is no doubt, at every fourth
+    one while somebody else is in the picture, at every one while somebody is near, and at every
+    second or third one while the person is uncertain or lost; twice a second at least. Between
+    looks the box is predicted.
 
     Parameters
     ----------
@@ -685,16 +688,17 @@ def follow_person(
         box_margin=box_margin,
         box=box,
     )
-    n_frames = 0
+    n_frames, last_look_s = 0, -math.inf
     for frame in frames:
         if n_frames == 0 and box is not None:
             _require_inside(box, frame.image)
         n_frames += 1
-        is_anchor = tracker.wants_look
+        is_anchor = tracker.wants_look or frame.time_s - last_look_s >= MAX_REST_S
         followed = tracker.step(
             detector(frame.image) if is_anchor else None,
             partial(describe_appearance, frame.image),
         )
+        last_look_s = frame.time_s if is_anchor else last_look_s
         yield TrackedFrame(frame=frame, box=followed, is_anchor=is_anchor, others=tracker.others)
     if not tracker.was_found:
         raise NoPersonFound(

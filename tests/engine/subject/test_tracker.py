@@ -332,6 +332,12 @@ def test_frames_are_read_only_when_asked_for():
     assert read == [0, 1]
 
 
+def test_few_frames_a_second_are_all_looked_at():
+    frames = (Frame(i, float(i), PICTURE) for i in range(20))
+    tracked = list(follow_person(frames, lambda image: [person(100)]))
+    assert all(t.is_anchor for t in tracked)
+
+
 def test_nobody_in_the_whole_video():
     with pytest.raises(NoPersonFound, match="12 pictures"):
         list(follow_person(stream(12), lambda image: []))
