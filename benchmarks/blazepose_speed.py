@@ -6,7 +6,7 @@ Needs the extra `bench`, best in an environment of its own (see `blazepose_parit
 
 Both see the same decoded pictures of one clip and follow one person (MediaPipe in its VIDEO
 mode). The contestants take turns, so that a busy machine disturbs all alike; medians over the
-rounds. `product` is the way of `liftlens assess`: person detector and association included.
+rounds. `landmarks` starts from known person boxes; `product` finds them too, as `assess` does.
 MediaPipe runs its network on one thread, whatever the machine; `one core` confines it wholly.
 """
 
@@ -25,7 +25,6 @@ import numpy as np
 from engine.config import PoseConfig
 from engine.datatypes import Frame, ViewInfo, ignore_progress
 from engine.pose.backends.mediapipe import Backend
-from engine.pose.blazepose import BlazePoseNetworks, PoseFollower
 from engine.subject.detector import PersonDetector
 from engine.subject.tracker import follow_person
 from engine.video.reader import probe_video, read_frames
@@ -37,14 +36,13 @@ Contestant = Callable[[list[Frame]], float]
 """Takes pictures, returns seconds a picture."""
 
 
-def follow(variant: str, threads: int) -> Contestant:
-    networks = BlazePoseNetworks(variant, threads=threads)
+def landmarks(variant: str, threads: int, view: ViewInfo, detector: PersonDetector) -> Contestant:
+    backend = Backend(PoseConfig(variant=variant, threads=threads))
 
     def run(frames: list[Frame]) -> float:
-        follower = PoseFollower(networks)
+        tracked = list(follow_person(iter(frames), detector))
         start = time.perf_counter()
-        for frame in frames:
-            follower.update(frame.image)
+        backend.estimate(iter(tracked), view, ignore_progress)
         return (time.perf_counter() - start) / len(frames)
 
     return run
@@ -103,7 +101,7 @@ def main() -> None:
     parser.add_argument("--shared", type=Path, default=Path("../shared"))
     parser.add_argument("--variant", default="heavy", choices=("heavy", "full"))
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--frames", type=int, default=150)
     options = parser.parse_args()
     path = options.shared / CLIP
     frames = [
@@ -117,8 +115,8 @@ def main() -> None:
     contestants = {
         "MediaPipe": mediapipe,
         "MediaPipe, one core": confined(mediapipe, core),
-        "LiftLens landmarks, 1 thread": follow(options.variant, 1),
-        "LiftLens landmarks, 2 threads": follow(options.variant, 2),
+        "LiftLens landmarks, 1 thread": landmarks(options.variant, 1, view, PersonDetector()),
+        "LiftLens landmarks, 2 threads": landmarks(options.variant, 2, view, PersonDetector()),
         "LiftLens product, 1 thread": product(options.variant, 1, view),
         "LiftLens product, 2 threads": product(options.variant, 2, view),
     }

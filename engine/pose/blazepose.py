@@ -12,10 +12,14 @@ use them.
 from __future__ import annotations
 
 import math
+import os
+import threading
 import time
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, ParamSpec, TypeVar
 
 import cv2
 import numpy as np
@@ -29,6 +33,7 @@ __all__ = [
     "Landmarks",
     "PoseDetection",
     "PoseFollower",
+    "PoseGlance",
     "Region",
     "crop_matrix",
     "decode_detections",
@@ -39,6 +44,9 @@ __all__ = [
     "refine_by_heatmap",
     "region_from_points",
 ]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
@@ -75,6 +83,9 @@ HOLD_TURN_RAD: Final = 0.08
 """The region stays where it is until the next one is further away than this (shift as a share of
 its side). A crop that follows every frame makes the landmarks jitter about 1.7 times as much.
 """
+
+MAX_AHEAD: Final = 2
+"""Frames that are looked at together."""
 
 CROP_OFFSET_PX: Final = 0.0
 """Where in a crop pixel the picture is sampled when landmarks are sought.
@@ -304,6 +315,41 @@ def estimate_sigma_px(confidence: Array, region: Region) -> Array:
     return np.asarray((SIGMA_SURE + (SIGMA_GUESS - SIGMA_SURE) * doubt) * region.size)
 
 
+class InlineExecutor(Executor):
+    """Does the work at once, in the thread that asks for it."""
+
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """Call `fn` and return its outcome."""
+        future: Future[R] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class _BusyClock:
+    """Adds up the time during which at least one thread is inside a network."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._n_inside = 0
+        self._since_s = 0.0
+        self.total_s = 0.0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._n_inside == 0:
+                self._since_s = time.perf_counter()
+            self._n_inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._n_inside -= 1
+            if self._n_inside == 0:
+                self.total_s += time.perf_counter() - self._since_s
+
+
 class BlazePoseNetworks:
     """The two networks and what is done before and after them.
 
@@ -312,14 +358,11 @@ class BlazePoseNetworks:
     variant
         `heavy` or `full`.
     threads
-        Inference threads; 0 = one per core.
+        Inference threads; 0 = one per core. From two on, two pictures can be seen at once
+        (`make_executor`), each by half of the threads: they then need not wait for each other in
+        every layer, which is slow on a busy machine.
     crop_offset_px
         See `CROP_OFFSET_PX`.
-
-    Attributes
-    ----------
-    model_time_s
-        Time spent inside the networks so far.
 
     Raises
     ------
@@ -335,19 +378,28 @@ class BlazePoseNetworks:
         crop_offset_px: float = CROP_OFFSET_PX,
         model_dir: Path = MODEL_DIR,
     ) -> None:
-        self._landmarker = open_session(model_dir / f"pose_landmark_{variant}.onnx", threads)
+        threads = threads or count_cores()
+        self._n_at_once = min(MAX_AHEAD, threads)
+        self._threads = max(1, threads // self._n_at_once)
+        self._landmarker = open_session(model_dir / f"pose_landmark_{variant}.onnx", self._threads)
         self._detector_path = model_dir / "pose_detector.onnx"
         self._detector: Any = None
-        self._threads = threads
         self._offset_px = crop_offset_px
         self._anchors = make_anchors()
-        self._crop = np.empty((1, CROP_SIZE_PX, CROP_SIZE_PX, 3), np.float32)
-        self.model_time_s = 0.0
+        self._clock = _BusyClock()
+
+    @property
+    def model_time_s(self) -> float:
+        """Time during which at least one of the networks was running, so far."""
+        return self._clock.total_s
+
+    def make_executor(self) -> Executor:
+        """Return what runs `find_landmarks` on two pictures at once if there are threads for it."""
+        return InlineExecutor() if self._n_at_once == 1 else ThreadPoolExecutor(self._n_at_once)
 
     def _run(self, session: Any, image: Float32, names: list[str]) -> list[Float32]:
-        start = time.perf_counter()
-        outputs: list[Float32] = session.run(names, {"image": image})
-        self.model_time_s += time.perf_counter() - start
+        with self._clock:
+            outputs: list[Float32] = session.run(names, {"image": image})
         return outputs
 
     def detect(
@@ -411,9 +463,9 @@ class BlazePoseNetworks:
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_REPLICATE,
         )
-        np.multiply(crop, np.float32(1 / 255), out=self._crop[0])
+        tensor = np.multiply(crop, np.float32(1 / 255), dtype=np.float32)[None]
         rows, flag, heatmap, world = self._run(
-            self._landmarker, self._crop, ["landmarks", "pose_flag", "heatmap", "world"]
+            self._landmarker, tensor, ["landmarks", "pose_flag", "heatmap", "world"]
         )
         return _place_landmarks(
             rows.reshape(39, 5), float(flag.item()), heatmap[0], world.reshape(39, 3), region
@@ -442,11 +494,23 @@ def _place_landmarks(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class PoseGlance:
+    """A picture that is being looked at, where the person was expected when it was begun."""
+
+    image: Image
+    generation: int
+    landmarks: Future[Landmarks] | None
+
+
 class PoseFollower:
     """Follows one person's landmarks from frame to frame.
 
-    A frame's auxiliary points give the region of the next; the detector runs only when there is
+    A frame's auxiliary points give the region of a later one; the detector runs only when there is
     no region, or when the landmark network says that the person is gone.
+
+    A frame may be begun before the frames before it are finished: it then uses the region known so
+    far, which moves little from frame to frame.
 
     Parameters
     ----------
@@ -454,40 +518,64 @@ class PoseFollower:
         The loaded networks.
     min_confidence
         Least probability of a person, for the detector and for the landmarks.
+    executor
+        Runs what is begun; by default at once.
     """
 
-    def __init__(self, networks: BlazePoseNetworks, *, min_confidence: float = 0.5) -> None:
+    def __init__(
+        self,
+        networks: BlazePoseNetworks,
+        *,
+        min_confidence: float = 0.5,
+        executor: Executor | None = None,
+    ) -> None:
         self._networks = networks
         self._min_confidence = min_confidence
+        self._executor = executor or InlineExecutor()
+        self._generation = 0
         self.region: Region | None = None
 
     def restart(self) -> None:
-        """Forget where the person was."""
+        """Forget where the person was; what was begun before is looked at anew."""
         self.region = None
+        self._generation += 1
 
-    def update(self, image: Image, search: Region | None = None) -> Landmarks | None:
-        """Find the person's landmarks in the next frame.
+    def begin(self, image: Image) -> PoseGlance:
+        """Begin to look for the person in the next frame, shape (H, W, 3), RGB."""
+        future = None
+        if self.region is not None:
+            future = self._executor.submit(self._networks.find_landmarks, image, self.region)
+        return PoseGlance(image, self._generation, future)
+
+    def finish(self, glance: PoseGlance, search: Region | None = None) -> Landmarks | None:
+        """Return the person's landmarks in a frame that was begun; frames finish in order.
 
         Parameters
         ----------
-        image
-            Shape (H, W, 3), RGB.
+        glance
+            What `begin` returned.
         search
             Upright square in which a person is sought if none is followed; None for the whole
-            picture. With a square, only a person whose hips lie well within it is taken.
+            picture. With a square, only a person whose hips lie in its middle half is taken.
 
         Returns
         -------
         Landmarks or None
-            None if there is nobody; the next call then starts anew.
+            None if there is nobody; the next frame then starts anew.
         """
-        if self.region is not None:
-            landmarks = self._accept(self._networks.find_landmarks(image, self.region))
-            if landmarks is not None:
-                return landmarks
-        return self._start(image, search)
+        landmarks = None
+        if glance.landmarks is not None and glance.generation == self._generation:
+            landmarks = self._accept(glance.landmarks.result())
+        elif self.region is not None:
+            landmarks = self._accept(self._networks.find_landmarks(glance.image, self.region))
+        return landmarks or self._start(glance.image, search)
+
+    def update(self, image: Image, search: Region | None = None) -> Landmarks | None:
+        """Find the person's landmarks in the next frame: `begin` and `finish` in one."""
+        return self.finish(self.begin(image), search)
 
     def _start(self, image: Image, search: Region | None) -> Landmarks | None:
+        self.restart()
         found = self._networks.detect(image, search, min_score=self._min_confidence)
         person = _choose_detection(found, search)
         if person is None:
@@ -502,8 +590,11 @@ class PoseFollower:
 
     def _accept(self, landmarks: Landmarks) -> Landmarks | None:
         is_person = landmarks.flag >= self._min_confidence and landmarks.next_region.is_usable
-        self.region = hold_region(self.region, landmarks.next_region) if is_person else None
-        return landmarks if is_person else None
+        if not is_person:
+            self.restart()
+            return None
+        self.region = hold_region(self.region, landmarks.next_region)
+        return landmarks
 
 
 def _choose_detection(found: list[PoseDetection], search: Region | None) -> PoseDetection | None:
@@ -517,6 +608,13 @@ def _choose_detection(found: list[PoseDetection], search: Region | None) -> Pose
 
     central = [d for d in found if distance(d) <= HIP_SHARE * search.size]
     return min(central, key=distance, default=None)
+
+
+def count_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def open_session(path: Path, threads: int) -> Any:
@@ -538,5 +636,7 @@ def open_session(path: Path, threads: int) -> Any:
         )
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
+    # Waiting threads would take time from the other picture's, and from whatever else runs.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
     return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])

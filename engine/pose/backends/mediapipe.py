@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -29,10 +30,12 @@ from engine.pose.association import (
 )
 from engine.pose.base import BackendInfo
 from engine.pose.blazepose import (
+    MAX_AHEAD,
     N_LANDMARKS,
     BlazePoseNetworks,
     Landmarks,
     PoseFollower,
+    PoseGlance,
     Region,
     estimate_sigma_px,
 )
@@ -54,6 +57,8 @@ SEARCH_MARGIN: Final = 1.25
 """How much larger than the person's box the square is in which BlazePose starts."""
 BOX_MARGIN: Final = 0.06
 """What the landmarks leave out of a body (hair, hands, soles), as a share of its larger side."""
+MAX_AHEAD_S: Final = 0.1
+"""People move too far in more time to be sought where they were."""
 EXCHANGE_IOU: Final = 0.2
 """A box that jumps further from one frame to the next is another person's."""
 LEFT_HIP, RIGHT_HIP = MEDIAPIPE_33.index("left_hip"), MEDIAPIPE_33.index("right_hip")
@@ -106,14 +111,14 @@ class Backend:
             If no frame shows a person whose landmarks can be found.
         """
         model_time_s = self._networks.model_time_s
-        follower = _AssociatedFollower(
-            PoseFollower(self._networks, min_confidence=self._min_confidence)
-        )
         record = _Record()
-        for tracked in frames:
-            suspects = follower.see(tracked, record)
-            record.reject(suspects)
-            progress("pose", len(record.time_s), view.n_frames)
+        with self._networks.make_executor() as executor:
+            follower = _AssociatedFollower(
+                PoseFollower(self._networks, min_confidence=self._min_confidence, executor=executor)
+            )
+            for glance in look_ahead(frames, follower.begin):
+                record.reject(follower.finish(glance, record))
+                progress("pose", len(record.time_s), view.n_frames)
         if not record.has_landmarks:
             raise NoPersonFound(
                 "Expected a person whose posture can be seen, but found none in "
@@ -212,6 +217,46 @@ class _Record:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Glance:
+    """A frame that is being looked at; no pose is sought while the person is lost."""
+
+    tracked: TrackedFrame
+    pose: PoseGlance | None
+
+
+def look_ahead(
+    frames: TrackedStream,
+    begin: Callable[[TrackedFrame], _Glance],
+    *,
+    n_ahead: int = MAX_AHEAD,
+    max_ahead_s: float = MAX_AHEAD_S,
+) -> Iterator[_Glance]:
+    """Begin frames before the ones before them are finished, and return them in order.
+
+    While a frame waits to be finished the next one is read and begun. How far ahead does not depend
+    on the machine, so neither does the outcome.
+
+    Parameters
+    ----------
+    frames
+        Pictures with the person's box.
+    begin
+        Starts the work on a frame.
+    n_ahead, max_ahead_s
+        A frame is begun when fewer than this many others wait, none of them longer ago than this.
+    """
+    waiting: deque[_Glance] = deque()
+    for tracked in frames:
+        while waiting and (
+            len(waiting) >= n_ahead
+            or tracked.frame.time_s - waiting[0].tracked.frame.time_s > max_ahead_s
+        ):
+            yield waiting.popleft()
+        waiting.append(begin(tracked))
+    yield from waiting
+
+
 class _AssociatedFollower:
     """A pose follower that stays on the tracked person."""
 
@@ -220,24 +265,30 @@ class _AssociatedFollower:
         self._last_good: tuple[int, PersonBox] | None = None
         self._last_box: PersonBox | None = None
 
-    def see(self, tracked: TrackedFrame, record: _Record) -> list[int]:
-        """Estimate one frame and record it.
+    def begin(self, tracked: TrackedFrame) -> _Glance:
+        """Begin to look at the next frame."""
+        if tracked.box is None:
+            return _Glance(tracked, None)
+        return _Glance(tracked, self._follower.begin(tracked.frame.image))
+
+    def finish(self, glance: _Glance, record: _Record) -> list[int]:
+        """Estimate a frame that was begun and record it.
 
         Returns
         -------
         list of int
             Rows of the record that turned out to show somebody else.
         """
-        row = len(record.time_s)
+        row, tracked = len(record.time_s), glance.tracked
         box, before = tracked.box, self._last_box
         self._last_box = box
-        if box is None:
+        if box is None or glance.pose is None:
             self._follower.restart()
             self._last_good = None
             record.add(tracked, None)
             return []
         is_observed = tracked.is_anchor and box.state is not SubjectState.HELD
-        landmarks = self._follower.update(tracked.frame.image, search_region(box))
+        landmarks = self._follower.finish(glance.pose, search_region(box))
         had_slipped = landmarks is not None and not _fits(landmarks, tracked, is_observed)
         if had_slipped:
             landmarks = self._start_again(tracked, box, is_observed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,8 +20,8 @@ from engine.datatypes import (
 )
 from engine.errors import Cancelled, NoPersonFound
 from engine.pose.backends import mediapipe
-from engine.pose.backends.mediapipe import Backend, search_region
-from engine.pose.blazepose import Landmarks, PoseDetection, Region
+from engine.pose.backends.mediapipe import Backend, look_ahead, search_region
+from engine.pose.blazepose import InlineExecutor, Landmarks, PoseDetection, Region
 from engine.subject.detector import PersonDetector
 from engine.subject.tracker import follow_person
 from tests.engine.pose.scenes import SAMPLES, cut_out, frames_of, paste, read_images
@@ -29,26 +30,39 @@ VIEW = ViewInfo("clip.mp4", "", 30.0, 0, (720, 480), 1.0)
 PICTURE = np.zeros((480, 720, 3), np.uint8)
 
 
+def picture_of(people: list[float]) -> np.ndarray:
+    """A picture in which the stand-in sees people at these places."""
+    picture = PICTURE.copy()
+    picture[0, [round(x) for x in people]] = 255
+    return picture
+
+
+def people_in(picture: np.ndarray) -> list[float]:
+    return np.flatnonzero(picture[0, :, 0]).astype(float).tolist()
+
+
 class StandInNetworks:
     """Sees upright people of 100 x 300 px at given places; the nearest to the region's centre."""
 
     def __init__(self, *_args, **_kwargs) -> None:
         self.model_time_s = 0.0
-        self.people: list[float] = []
         self.n_detections = 0
 
-    def detect(self, _image, region: Region | None = None, *, min_score=0.5):
+    def make_executor(self):
+        return InlineExecutor()
+
+    def detect(self, image, region: Region | None = None, *, min_score=0.5):
         self.n_detections += 1
         self.model_time_s += 0.25
         return [
             PoseDetection(np.zeros(4), np.array([[x, 240.0], [x, 80.0], [x, 150], [x, 90]]), 0.9)
-            for x in self.people
+            for x in people_in(image)
             if region is None or abs(x - region.x) < region.size / 2
         ]
 
-    def find_landmarks(self, _image, region: Region) -> Landmarks:
+    def find_landmarks(self, image, region: Region) -> Landmarks:
         self.model_time_s += 1.0
-        near = [x for x in self.people if abs(x - region.x) < region.size / 2]
+        near = [x for x in people_in(image) if abs(x - region.x) < region.size / 2]
         x = min(near, key=lambda p: abs(p - region.x), default=0.0)
         points = np.random.default_rng(0).uniform([x - 50, 90], [x + 50, 390], (33, 2))
         return Landmarks(
@@ -74,13 +88,12 @@ def box_at(x: float) -> PersonBox:
 
 
 def tracked(
-    networks: StandInNetworks, scene: list[tuple[list[float], float | None, list[float]]], every=1
+    scene: list[tuple[list[float], float | None, list[float]]], every: int = 1, fps: float = 30.0
 ) -> Iterator[TrackedFrame]:
     """Frames from rows of: where BlazePose sees people, the followed one, the others."""
     for i, (people, followed, others) in enumerate(scene):
-        networks.people = people
         yield TrackedFrame(
-            Frame(i, i / 30, PICTURE),
+            Frame(i, i / fps, picture_of(people)),
             None if followed is None else box_at(followed),
             is_anchor=i % every == 0,
             others=tuple(box_at(x) for x in others),
@@ -94,9 +107,7 @@ def hips_x(pose) -> np.ndarray:
 def test_one_person(networks):
     calls = []
     scene = [([300 + i], 300 + i, []) for i in range(20)]
-    pose = Backend(PoseConfig()).estimate(
-        tracked(networks, scene), VIEW, lambda *args: calls.append(args)
-    )
+    pose = Backend(PoseConfig()).estimate(tracked(scene), VIEW, lambda *args: calls.append(args))
     np.testing.assert_allclose(hips_x(pose), 300 + np.arange(20), atol=15)
     assert pose.image.unit == "px"
     assert pose.body.unit == "m"
@@ -113,15 +124,15 @@ def test_one_person(networks):
 def test_second_clip_counts_its_own_time(networks):
     backend = Backend(PoseConfig())
     scene = [([300], 300, [])] * 5
-    first = backend.estimate(tracked(networks, scene), VIEW, ignore_progress)
-    second = backend.estimate(tracked(networks, scene), VIEW, ignore_progress)
+    first = backend.estimate(tracked(scene), VIEW, ignore_progress)
+    second = backend.estimate(tracked(scene), VIEW, ignore_progress)
     assert first.model_time_s == second.model_time_s
 
 
 def test_landmarks_that_slip_to_somebody_else_are_taken_back(networks):
     # At frame 6 BlazePose's region, still near 300, sees only the passer-by; the box knows better.
     scene = [([300], 300, [])] * 6 + [([330, 420], 420, [330])] * 6
-    pose = Backend(PoseConfig()).estimate(tracked(networks, scene), VIEW, ignore_progress)
+    pose = Backend(PoseConfig()).estimate(tracked(scene), VIEW, ignore_progress)
     np.testing.assert_allclose(hips_x(pose)[6:], 420, atol=15)
 
 
@@ -129,7 +140,7 @@ def test_frames_between_looks_that_showed_somebody_else_are_removed(networks):
     # The person goes right, BlazePose stays with somebody at 300; the next look is at frame 10.
     scene = [([300], 300, [])] + [([300], 300 + 12 * i, []) for i in range(1, 10)]
     scene += [([300, 420], 420, [300])] * 3
-    pose = Backend(PoseConfig()).estimate(tracked(networks, scene, every=10), VIEW, ignore_progress)
+    pose = Backend(PoseConfig()).estimate(tracked(scene, every=10), VIEW, ignore_progress)
     x = hips_x(pose)
     np.testing.assert_allclose(x[0], 300, atol=15)
     assert np.isnan(x[8:10]).all()
@@ -141,18 +152,13 @@ def test_frames_between_looks_that_showed_somebody_else_are_removed(networks):
 
 def test_hidden_person_is_missing_not_replaced(networks):
     scene = [([300], 300, [])] * 3 + [([310], 300, [310])] * 3
-    frames = list(tracked(networks, scene))
 
-    def replay():
-        for i, frame in enumerate(frames):
-            networks.people = scene[i][0]
-            if i < 3:
-                yield frame
-            else:
-                held = PersonBox(200, 85, 320, 395, state=SubjectState.HELD)
-                yield TrackedFrame(frame.frame, held, is_anchor=True, others=frame.others)
+    def hide():
+        for i, frame in enumerate(tracked(scene)):
+            held = PersonBox(200, 85, 320, 395, state=SubjectState.HELD)
+            yield frame if i < 3 else replace(frame, box=held)
 
-    pose = Backend(PoseConfig()).estimate(replay(), VIEW, ignore_progress)
+    pose = Backend(PoseConfig()).estimate(hide(), VIEW, ignore_progress)
     assert np.isfinite(hips_x(pose)[:3]).all()
     assert np.isnan(hips_x(pose)[3:]).all()
     assert [s.value for s in pose.state] == ["tracked"] * 3 + ["held"] * 3
@@ -160,7 +166,7 @@ def test_hidden_person_is_missing_not_replaced(networks):
 
 def test_person_who_leaves_is_lost_without_error(networks):
     scene = [([300], 300, [])] * 5 + [([], None, [])] * 5
-    pose = Backend(PoseConfig()).estimate(tracked(networks, scene), VIEW, ignore_progress)
+    pose = Backend(PoseConfig()).estimate(tracked(scene), VIEW, ignore_progress)
     assert np.isnan(pose.image.position[5:]).all()
     assert np.isnan(pose.box[5:]).all()
     assert set(pose.state[5:]) == {SubjectState.LOST}
@@ -169,9 +175,7 @@ def test_person_who_leaves_is_lost_without_error(networks):
 
 def test_nobody_with_a_posture(networks):
     with pytest.raises(NoPersonFound, match="4 pictures"):
-        Backend(PoseConfig()).estimate(
-            tracked(networks, [([], 300, [])] * 4), VIEW, ignore_progress
-        )
+        Backend(PoseConfig()).estimate(tracked([([], 300, [])] * 4), VIEW, ignore_progress)
 
 
 def test_cancelling_stops_at_once(networks):
@@ -182,13 +186,29 @@ def test_cancelling_stops_at_once(networks):
             raise Cancelled
 
     def frames():
-        for frame in tracked(networks, [([300], 300, [])] * 10):
+        for frame in tracked([([300], 300, [])] * 10):
             read.append(frame)
             yield frame
 
     with pytest.raises(Cancelled):
         Backend(PoseConfig()).estimate(frames(), VIEW, cancel)
-    assert len(read) == 3
+    assert len(read) <= 3 + 2  # what was begun ahead
+
+
+@pytest.mark.parametrize(("fps", "n_ahead"), [(30.0, 1), (12.0, 1), (5.0, 0)])
+def test_frames_are_begun_ahead_only_while_they_follow_closely(fps, n_ahead):
+    begun = []
+    frames = tracked([([300], 300, [])] * 8, fps=fps)
+
+    def begin(frame: TrackedFrame) -> mediapipe._Glance:
+        begun.append(frame)
+        return mediapipe._Glance(frame, None)
+
+    for done, glance in enumerate(look_ahead(frames, begin)):
+        assert glance.tracked.frame.index == done
+        if done < 5:
+            assert len(begun) == done + 1 + n_ahead
+    assert len(begun) == 8
 
 
 def test_search_region_surrounds_the_box():
@@ -196,7 +216,7 @@ def test_search_region_surrounds_the_box():
     assert (region.x, region.y, region.size, region.angle) == (149.5, 249.5, 375, 0)
 
 
-# Real networks; two people made of one clip and a cut-out
+# Real networks made of one clip and a cut-out
 
 
 @pytest.fixture(scope="module")
@@ -229,6 +249,18 @@ def distance_px(pose, truth) -> np.ndarray:
     """Median distance of the landmarks a frame, NaN where there are none."""
     distance = np.linalg.norm(pose.image.position - truth.image.position, axis=2)
     return np.median(distance, axis=1)
+
+
+@pytest.mark.model
+def test_threads_change_the_time_only(detector, worker):
+    one, two = (
+        Backend(PoseConfig(variant="full", threads=n)).estimate(
+            follow_person(frames_of(worker[:25]), detector), VIEW, ignore_progress
+        )
+        for n in (1, 2)
+    )
+    np.testing.assert_array_equal(one.image.position, two.image.position)
+    np.testing.assert_array_equal(one.body.position, two.body.position)
 
 
 @pytest.mark.model
