@@ -39,6 +39,7 @@ from engine.storage.atomic import scratch_folder
 from engine.storage.results import check_target, write_result
 from engine.subject.detector import PersonDetector
 from engine.subject.tracker import follow_person
+from engine.timing import NETWORK_CLOCK
 from engine.version import __version__, list_versions
 from engine.video.overlay import write_overlay
 from engine.video.reader import probe_video, read_frames
@@ -191,6 +192,7 @@ def estimate_view(view: View, config: Config, progress: ProgressCallback) -> Vie
     frames = read_frames(view.path, start_s=config.video.start_s, stop_s=config.video.stop_s)
     tracked = follow_person(frames, detector, **dataclasses.asdict(config.subject))
     camera = CameraWatch()
+    networks_s = NETWORK_CLOCK.total_s
     pose = backend.estimate(camera.watch(tracked), info, progress)
     if pose.image.n_frames < 2:
         raise VideoError(
@@ -203,7 +205,7 @@ def estimate_view(view: View, config: Config, progress: ProgressCallback) -> Vie
     return dataclasses.replace(
         pose,
         image=dataclasses.replace(pose.image, provenance=provenance),
-        model_time_s=pose.model_time_s + detector.model_time_s,
+        model_time_s=NETWORK_CLOCK.total_s - networks_s,
     )
 
 

@@ -13,7 +13,13 @@ import pytest
 import engine
 
 ROOT = Path(__file__).parents[1]
-SHARED = {"engine.config", "engine.datatypes", "engine.errors", "engine.skeletons"}
+SHARED = {
+    "engine.config",
+    "engine.datatypes",
+    "engine.errors",
+    "engine.skeletons",
+    "engine.timing",
+}
 STEPS = {"video", "subject", "pose", "cameras", "correction", "kinematics", "ergonomics"}
 MAY_START_THE_PIPELINE = {"engine", "engine.cli", "engine.jobs.worker"}
 BROWSER_LIBRARIES = {"streamlit", "plotly", "altair"}

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import math
 import os
-import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -27,6 +25,7 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array
 from engine.errors import BackendUnavailable
+from engine.timing import NETWORK_CLOCK, BusyClock
 
 __all__ = [
     "BlazePoseNetworks",
@@ -328,28 +327,6 @@ class InlineExecutor(Executor):
         return future
 
 
-class _BusyClock:
-    """Adds up the time during which at least one thread is inside a network."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._n_inside = 0
-        self._since_s = 0.0
-        self.total_s = 0.0
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if self._n_inside == 0:
-                self._since_s = time.perf_counter()
-            self._n_inside += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._n_inside -= 1
-            if self._n_inside == 0:
-                self.total_s += time.perf_counter() - self._since_s
-
-
 class BlazePoseNetworks:
     """The two networks and what is done before and after them.
 
@@ -386,7 +363,7 @@ class BlazePoseNetworks:
         self._detector: Any = None
         self._offset_px = crop_offset_px
         self._anchors = make_anchors()
-        self._clock = _BusyClock()
+        self._clock = BusyClock()
 
     @property
     def model_time_s(self) -> float:
@@ -398,7 +375,7 @@ class BlazePoseNetworks:
         return InlineExecutor() if self._n_at_once == 1 else ThreadPoolExecutor(self._n_at_once)
 
     def _run(self, session: Any, image: Float32, names: list[str]) -> list[Float32]:
-        with self._clock:
+        with self._clock, NETWORK_CLOCK:
             outputs: list[Float32] = session.run(names, {"image": image})
         return outputs
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array, PersonBox
 from engine.errors import BackendUnavailable
+from engine.timing import NETWORK_CLOCK
 
 __all__ = ["PersonDetector", "decode_persons", "letterbox", "suppress_overlaps"]
 
@@ -146,7 +147,8 @@ class PersonDetector:
         scale, left, top = letterbox(width, height)
         tensor = _prepare(image, scale, left, top)
         start = time.perf_counter()
-        outputs = self._session.run(self._outputs, {"image": tensor})
+        with NETWORK_CLOCK:
+            outputs = self._session.run(self._outputs, {"image": tensor})
         self.model_time_s += time.perf_counter() - start
         boxes, scores = decode_persons(
             [o[0] for o in outputs[:3]], [o[0] for o in outputs[3:]], threshold=self._threshold
