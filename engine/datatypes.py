@@ -23,12 +23,14 @@ from engine.errors import ConfigError, DataError, ShapeError, UnitError
 
 __all__ = [
     "Array",
+    "BodyFit",
     "Camera",
     "Coupling",
     "Flag",
     "FlagLevel",
     "Frame",
     "JointAngles",
+    "KinematicFit",
     "Lift",
     "LiftEnd",
     "Measurement",
@@ -574,6 +576,37 @@ class JointAngles(_FrozenArrays):
         return self.names.index(name)
 
 
+@dataclass(frozen=True, eq=False)
+class BodyFit(_FrozenArrays):
+    """A body model of constant segment lengths, fitted to a track.
+
+    `joints` are the model's joints in world metres, with the track's times and skeleton; NaN for
+    keypoints the model has not, and in frames that were not fitted. `residual_m` (T,) is
+    the mean distance of the track's keypoints from them, NaN where nothing was fitted.
+    """
+
+    joints: PoseTrack
+    residual_m: Array
+    segment_lengths_m: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        residual = self._freeze("residual_m", self.residual_m)
+        _require_shape("residual_m", residual, (self.joints.n_frames,))
+        object.__setattr__(self, "segment_lengths_m", _proxy(self.segment_lengths_m))
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicFit:
+    """What a solver makes of a track: the joint angles, and the body model where it uses one.
+
+    `warnings` say in plain words what makes the angles less certain or why some are missing.
+    """
+
+    angles: JointAngles
+    body: BodyFit | None = None
+    warnings: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True)
 class LiftEnd:
     """Where the hands are at one end of a lift, relative to the feet.
@@ -693,7 +726,8 @@ class TrialResult:
     """Everything that was found out about one trial.
 
     `raw` and `corrected` hold the world track before and after correction; `views` what
-    the estimator saw. `risk` maps a method's key to its result.
+    the estimator saw. `risk` maps a method's key to its result. `body` is the fitted body model,
+    None where the solver uses none.
     """
 
     trial: Trial
@@ -712,3 +746,4 @@ class TrialResult:
     versions: Mapping[str, str]
     timings_s: Mapping[str, float]
     coverage: Mapping[str, float]
+    body: BodyFit | None = None

@@ -139,7 +139,8 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
         corrected = correct_track(raw, **dataclasses.asdict(config.correction))
     with _timed(timings, "kinematics"):
         solver = select_solver(config.kinematics.solver)
-        angles = add_scene_errors(solver.fit(corrected, trial.subject), scene)
+        fit = solver.fit(corrected, trial.subject)
+        angles = add_scene_errors(fit.angles, scene)
         findings = _find_lifts(trial, raw, angles, scene, config)
     coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
     with _timed(timings, "risk"):
@@ -155,13 +156,14 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
         lifts=findings.lifts,
         risk=risk,
         flags=flags,
-        warnings=(*_warn(trial, pose, scene), *findings.warnings),
+        warnings=(*_warn(trial, pose, scene), *fit.warnings, *findings.warnings),
         config=config.as_dict(),
         backend=config.pose.backend,
         solver=config.kinematics.solver,
         versions={"liftlens": __version__, "python": platform.python_version(), **list_versions()},
         timings_s=timings,
         coverage=coverage,
+        body=fit.body,
     )
 
 

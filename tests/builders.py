@@ -17,6 +17,7 @@ import numpy as np
 from engine.config import Config
 from engine.datatypes import (
     Array,
+    BodyFit,
     Camera,
     Flag,
     FlagLevel,
@@ -197,6 +198,13 @@ def make_angles(
         value[frame, list(names).index(name)] = np.nan
     sigma = np.where(np.isfinite(value), sigma_deg, np.nan)
     return JointAngles(time_s=time_s, value_deg=value, sigma_deg=sigma, names=tuple(names))
+
+
+def make_body_fit(*, n_frames: int = 30, missing: Sequence[int] = ()) -> BodyFit:
+    """Make a fitted body model, 2 cm from its keypoints; `missing` frames are unfitted."""
+    residual = np.full(n_frames, 0.02)
+    residual[list(missing)] = np.nan
+    return BodyFit(make_pose_track(n_frames=n_frames), residual, {"thigh": 0.43, "shank": 0.42})
 
 
 def make_end(

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from engine.datatypes import (
+    BodyFit,
     Camera,
     Coupling,
     Flag,
@@ -162,6 +163,7 @@ def build_document(result: TrialResult) -> dict[str, Any]:
         "timings_s": _encode_numbers(result.timings_s),
         "coverage": _encode_numbers(result.coverage),
         "scene": _encode_scene(result.scene),
+        "body": None if result.body is None else _encode_body(result.body),
         "lifts": [_encode_lift(lift) for lift in result.lifts],
         "risk": {name: _encode_risk(risk) for name, risk in result.risk.items()},
         "flags": [_encode_flag(flag) for flag in result.flags],
@@ -285,6 +287,19 @@ def decode_scene(values: Mapping[str, Any]) -> WorldScene:
         provenance=decode_plain(values["provenance"]),
         **{key: decode_number(values[key]) for key in SCENE_NUMBERS},
     )
+
+
+def _encode_body(body: BodyFit) -> dict[str, Any]:
+    fitted = body.residual_m[np.isfinite(body.residual_m)]
+    quantiles = np.quantile(fitted, (0.5, 0.95)) if fitted.size else (math.nan, math.nan)
+    return {
+        "segment_lengths_m": _encode_numbers(body.segment_lengths_m),
+        "residual_cm": {
+            "median": encode_number(100 * quantiles[0]),
+            "p95": encode_number(100 * quantiles[1]),
+        },
+        "fitted": fitted.size / max(body.residual_m.size, 1),
+    }
 
 
 def _encode_measurement(measurement: Measurement) -> dict[str, float | None]:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.datatypes import (
+    BodyFit,
     Flag,
     JointAngles,
     Lift,
@@ -98,6 +99,7 @@ class StoredResult:
     angles: JointAngles
     overlay_path: Path | None
     thumbnail_path: Path | None
+    body: BodyFit | None = None
 
     @cached_property
     def lifts(self) -> tuple[Lift, ...]:
@@ -174,6 +176,7 @@ def write_result(
             corrected=result.corrected,
             views=result.views,
             angles=result.angles,
+            body=result.body,
         )
         write_keypoints_trc(result.corrected, partial / "keypoints.trc")
         write_angles_mot(result.angles, partial / "angles.mot")
@@ -260,6 +263,7 @@ def read_result(folder: Path) -> StoredResult:
         angles=tracks.angles,
         overlay_path=_first_file(folder, (OVERLAY_NAME,)),
         thumbnail_path=_first_file(folder, THUMBNAIL_NAMES),
+        body=tracks.body,
     )
     _check_parts(stored)
     return stored

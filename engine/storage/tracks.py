@@ -1,8 +1,9 @@
 """`tracks.npz`: every track, box and angle curve of a result, exact and without pickle.
 
 Arrays are named `<part>_<field>`, the parts being `raw`, `corrected`, `view0_image`,
-`view0_body`, `view0`, `angles`; the array `meta` holds what is not an array (units, frames
-of reference, skeletons, names, provenance) as JSON text.
+`view0_body`, `view0`, `angles` and, where a body model was fitted, `model`; the array `meta`
+holds what is not an array (units, frames of reference, skeletons, names, provenance) as JSON
+text.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from engine.datatypes import (
     Array,
+    BodyFit,
     JointAngles,
     PersonBox,
     PoseTrack,
@@ -46,6 +48,7 @@ class StoredTracks:
     corrected: PoseTrack
     views: tuple[ViewPose, ...]
     angles: JointAngles
+    body: BodyFit | None = None
 
 
 def write_tracks(
@@ -55,6 +58,7 @@ def write_tracks(
     corrected: PoseTrack,
     views: Sequence[ViewPose],
     angles: JointAngles,
+    body: BodyFit | None = None,
 ) -> None:
     """Write all curves of a result into one compressed file."""
     arrays: Arrays = {}
@@ -65,6 +69,12 @@ def write_tracks(
         meta["views"].append(_pack_view(arrays, f"view{index}", view))
     arrays |= {f"angles_{name}": getattr(angles, name) for name in ANGLE_ARRAYS}
     meta["angles"] = {"names": list(angles.names), "convention": angles.convention}
+    if body is not None:
+        arrays["model_residual_m"] = body.residual_m
+        meta["model"] = {
+            "joints": _pack_track(arrays, "model", body.joints),
+            "segment_lengths_m": encode_plain(body.segment_lengths_m),
+        }
     text = json.dumps(meta, allow_nan=False)
     np.savez_compressed(path, allow_pickle=False, meta=np.array(text), **arrays)
 
@@ -97,6 +107,7 @@ def read_tracks(path: Path, infos: Sequence[ViewInfo]) -> StoredTracks:
                 for index, (view_meta, info) in enumerate(zip(meta["views"], infos, strict=True))
             ),
             angles=_unpack_angles(arrays, meta["angles"]),
+            body=_unpack_body(arrays, meta.get("model")),
         )
     except Exception as error:
         # Changed bytes make the formats beneath (zip, npy headers, JSON) raise almost anything.
@@ -180,4 +191,14 @@ def _unpack_angles(arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> JointA
         **{name: arrays[f"angles_{name}"] for name in ANGLE_ARRAYS},
         names=tuple(meta["names"]),
         convention=meta["convention"],
+    )
+
+
+def _unpack_body(arrays: Mapping[str, Any], meta: Mapping[str, Any] | None) -> BodyFit | None:
+    if meta is None:
+        return None
+    return BodyFit(
+        joints=_unpack_track(arrays, "model", meta["joints"]),
+        residual_m=arrays["model_residual_m"],
+        segment_lengths_m=meta["segment_lengths_m"],
     )

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 import engine.kinematics.fitting as solvers_package
-from engine.datatypes import JointAngles, PoseTrack, Subject, WorldScene
+from engine.datatypes import JointAngles, KinematicFit, PoseTrack, Subject, WorldScene
 from engine.errors import ConfigError, UnitError
 
 __all__ = [
@@ -59,7 +59,7 @@ class Solver(Protocol):
 
     info: SolverInfo
 
-    def fit(self, track: PoseTrack, subject: Subject) -> JointAngles:
+    def fit(self, track: PoseTrack, subject: Subject) -> KinematicFit:
         """Compute the angles `info.angles` of every frame.
 
         Raises

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.datatypes import Array, JointAngles, PoseTrack, Status, Subject
+from engine.datatypes import Array, JointAngles, KinematicFit, PoseTrack, Status, Subject
 from engine.kinematics import angles as geometry
 from engine.kinematics.fitting.base import SolverInfo, require_world_metres
 from engine.skeletons import Skeleton, get_skeleton
@@ -188,7 +188,7 @@ class GeometricSolver:
         "hip flexion includes the lumbar spine, and rotations about a limb are not given.",
     )
 
-    def fit(self, track: PoseTrack, subject: Subject) -> JointAngles:
+    def fit(self, track: PoseTrack, subject: Subject) -> KinematicFit:
         """Compute the angles of every frame.
 
         Parameters
@@ -200,9 +200,10 @@ class GeometricSolver:
 
         Returns
         -------
-        JointAngles
-            Always the same names; NaN where a keypoint is missing (or the skeleton has none)
-            or the geometry is singular. The status is the worst of the contributing keypoints.
+        KinematicFit
+            Without a body model; always the same angles, NaN where a keypoint is missing (or the
+            skeleton has none) or the geometry is singular. The status is the worst of the
+            contributing keypoints.
 
         Raises
         ------
@@ -225,12 +226,14 @@ class GeometricSolver:
         self._subtract_neutral(track.time_s, value, sigma)
         is_explained = np.isfinite(value) | (status == Status.REJECTED)
         status[~is_explained] = Status.MISSING
-        return JointAngles(
-            time_s=track.time_s,
-            value_deg=value,
-            sigma_deg=sigma,
-            status=status,
-            names=self.info.angles,
+        return KinematicFit(
+            JointAngles(
+                time_s=track.time_s,
+                value_deg=value,
+                sigma_deg=sigma,
+                status=status,
+                names=self.info.angles,
+            )
         )
 
     def _subtract_neutral(self, time_s: Array, value: Array, sigma: Array) -> None:

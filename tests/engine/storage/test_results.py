@@ -47,6 +47,7 @@ from engine.storage.results import RESULT_FILES, check_target, read_result, writ
 from engine.storage.tables import write_keypoints_trc
 from tests.builders import (
     make_angles,
+    make_body_fit,
     make_flag,
     make_lift,
     make_pose_track,
@@ -69,6 +70,8 @@ RESULTS = {
     "two views": {"views": (make_view_pose(), make_view_pose(file_name="b.mp4", with_body=False))},
     "no uncertainty": {"scene": make_scene(scale_sigma=math.nan), "warnings": ()},
     "no angles": {"angles": make_angles(names=())},
+    "body model": {"body": make_body_fit(missing=[0, 3])},
+    "body model never fitted": {"body": make_body_fit(missing=range(30))},
 }
 
 
@@ -146,6 +149,7 @@ class TestSchema:
             (("risk", "rnle", "value"), "high"),
             (("subject", "name"), "Jane"),
             (("coverage", "measured"), 1.5),
+            (("body",), {"residual_cm": {"median": 2.0, "p95": 3.0}}),
             (("schema_version",), 2),
         ],
         ids=lambda v: ".".join(map(str, v)) if isinstance(v, tuple) else None,
@@ -253,6 +257,17 @@ class TestDocument:
 
 
 class TestRoundTrip:
+    def test_a_body_model_comes_back(self, tmp_path: Path) -> None:
+        body = make_body_fit(missing=[0, 3])
+        folder = write_result(make_trial_result(body=body), tmp_path / "result")
+        stored = read_result(folder).body
+        assert_same_track(stored.joints, body.joints)
+        np.testing.assert_array_equal(stored.residual_m, body.residual_m)
+        assert stored.segment_lengths_m == body.segment_lengths_m
+        written = read_json(folder)["body"]
+        assert written["residual_cm"] == {"median": pytest.approx(2.0), "p95": pytest.approx(2.0)}
+        assert written["fitted"] == pytest.approx(28 / 30)
+
     @pytest.mark.parametrize("changes", RESULTS.values(), ids=RESULTS.keys())
     def test_everything_comes_back(self, tmp_path: Path, changes: dict[str, Any]) -> None:
         result = make_trial_result(**changes)

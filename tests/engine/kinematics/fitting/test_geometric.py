@@ -63,7 +63,7 @@ SUBJECT = Subject()
 
 class TestValues:
     def test_standing_person(self):
-        found = SOLVER.fit(build_track(*[STANDING] * 6), SUBJECT)
+        found = SOLVER.fit(build_track(*[STANDING] * 6), SUBJECT).angles
         for name in ("trunk_flexion", "trunk_twist", "hip_flexion_l", "knee_flexion_r"):
             assert found[name] == pytest.approx(np.zeros(6), abs=1e-6)
         assert found["elbow_flexion_l"][0] == pytest.approx(7.82953, abs=1e-4)
@@ -72,7 +72,7 @@ class TestValues:
 
     def test_bowing_moves_trunk_and_hips_but_neither_neck_nor_arms(self):
         poses = [STANDING] * 6 + [bow(STANDING, 70)]
-        found = SOLVER.fit(build_track(*poses), SUBJECT)
+        found = SOLVER.fit(build_track(*poses), SUBJECT).angles
         last = {name: found[name][-1] for name in found.names}
         assert last["trunk_inclination"] == pytest.approx(70)
         assert last["trunk_flexion"] == pytest.approx(70)
@@ -86,8 +86,8 @@ class TestValues:
         c, s = np.cos(1.1), np.sin(1.1)
         turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
         turned = {k: turn @ np.array(p) * 1.3 + [2, 0, -1] for k, p in pose.items()}
-        before = SOLVER.fit(build_track(pose), SUBJECT).value_deg
-        after = SOLVER.fit(build_track(turned), SUBJECT).value_deg
+        before = SOLVER.fit(build_track(pose), SUBJECT).angles.value_deg
+        after = SOLVER.fit(build_track(turned), SUBJECT).angles.value_deg
         np.testing.assert_allclose(after, before, atol=1e-6)
 
     def test_mirroring_swaps_sides(self):
@@ -97,27 +97,27 @@ class TestValues:
             k.replace(k.split("_")[0], swap[k.split("_")[0]]): np.array(p) * [1, 1, -1]
             for k, p in pose.items()
         }
-        one = SOLVER.fit(build_track(pose), SUBJECT)
-        two = SOLVER.fit(build_track(mirrored), SUBJECT)
+        one = SOLVER.fit(build_track(pose), SUBJECT).angles
+        two = SOLVER.fit(build_track(mirrored), SUBJECT).angles
         for name in ("hip_flexion", "knee_flexion", "shoulder_flexion", "shoulder_adduction"):
             assert one[f"{name}_l"] == pytest.approx(two[f"{name}_r"], abs=1e-9)
         assert one["trunk_flexion"] == pytest.approx(two["trunk_flexion"], abs=1e-9)
 
     def test_no_neutral_posture_means_no_neck_flexion(self):
-        found = SOLVER.fit(build_track(*[bow(STANDING, 60)] * 8), SUBJECT)
+        found = SOLVER.fit(build_track(*[bow(STANDING, 60)] * 8), SUBJECT).angles
         assert np.isnan(found["neck_flexion"]).all()
         assert np.isnan(found.sigma("neck_flexion")).all()
         assert (np.asarray(found.status)[:, found.names.index("neck_flexion")] == 0).all()
 
     def test_a_skeleton_without_ears_gives_the_other_angles(self):
-        found = SOLVER.fit(build_track(*[STANDING] * 6, skeleton=H36M_17), SUBJECT)
+        found = SOLVER.fit(build_track(*[STANDING] * 6, skeleton=H36M_17), SUBJECT).angles
         assert found.names == SOLVER.info.angles
         assert np.isnan(found["neck_flexion"]).all()
         assert np.isfinite(found["knee_flexion_l"]).all()
 
     def test_a_missing_point_takes_its_own_angles_only(self):
         broken = {**STANDING, "left_ankle": [np.nan] * 3}
-        found = SOLVER.fit(build_track(STANDING, broken, STANDING), SUBJECT)
+        found = SOLVER.fit(build_track(STANDING, broken, STANDING), SUBJECT).angles
         assert np.isnan(found["knee_flexion_l"]).tolist() == [False, True, False]
         assert np.isfinite(found["knee_flexion_r"]).all()
         assert np.isfinite(found["hip_flexion_l"]).all()
@@ -141,7 +141,7 @@ class TestStatus:
             frame_of_reference="world",
             status=status,
         )
-        found = SOLVER.fit(track, SUBJECT)
+        found = SOLVER.fit(track, SUBJECT).angles
         column = found.names.index("knee_flexion_l")
         assert np.asarray(found.status)[:, column].tolist() == [
             Status.MEASURED,
@@ -189,13 +189,13 @@ class TestSigma:
 
     def test_trunk_errors_match_monte_carlo(self):
         pose = bow(STANDING, 45)
-        found = SOLVER.fit(build_track(pose, sigma=0.015), SUBJECT)
+        found = SOLVER.fit(build_track(pose, sigma=0.015), SUBJECT).angles
         rng = np.random.default_rng(3)
         noisy = [
             {k: np.array(p) + 0.015 * rng.standard_normal(3) for k, p in pose.items()}
             for _ in range(4000)
         ]
-        spread = SOLVER.fit(build_track(*noisy), SUBJECT)
+        spread = SOLVER.fit(build_track(*noisy), SUBJECT).angles
         for name in ("trunk_inclination", "trunk_flexion", "trunk_lateral_bend", "trunk_twist"):
             assert found.sigma(name)[0] == pytest.approx(np.std(spread[name]), rel=0.08)
 
@@ -205,12 +205,12 @@ class TestSigma:
         assert np.isnan(propagate_sigma(self.flexion, points, sigma)[0, 0])
 
     def test_doubling_the_error_doubles_it(self):
-        one = SOLVER.fit(build_track(bow(STANDING, 30), sigma=0.001), SUBJECT)
-        two = SOLVER.fit(build_track(bow(STANDING, 30), sigma=0.002), SUBJECT)
+        one = SOLVER.fit(build_track(bow(STANDING, 30), sigma=0.001), SUBJECT).angles
+        two = SOLVER.fit(build_track(bow(STANDING, 30), sigma=0.002), SUBJECT).angles
         assert two.sigma("hip_flexion_l") == pytest.approx(2 * one.sigma("hip_flexion_l"), rel=0.01)
 
     def test_never_exceeds_that_of_a_random_angle(self):
-        found = SOLVER.fit(build_track(*[STANDING] * 6, sigma=5.0), SUBJECT)
+        found = SOLVER.fit(build_track(*[STANDING] * 6, sigma=5.0), SUBJECT).angles
         sigma = np.asarray(found.sigma_deg)
         assert np.isfinite(sigma[:, found.names.index("trunk_flexion")]).all()
         neck = found.names.index("neck_flexion")
