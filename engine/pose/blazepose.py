@@ -517,6 +517,11 @@ class PoseFollower:
         self.region = None
         self._generation += 1
 
+    def resume(self, region: Region | None) -> None:
+        """Follow on from a region."""
+        self.region = region
+        self._generation += 1
+
     def begin(self, image: Image) -> PoseGlance:
         """Begin to look for the person in the next frame, shape (H, W, 3), RGB."""
         future = None

@@ -61,6 +61,14 @@ MAX_AHEAD_S: Final = 0.1
 """People move too far in more time to be sought where they were."""
 EXCHANGE_IOU: Final = 0.2
 """A box that jumps further from one frame to the next is another person's."""
+DOUBTFUL_SHARE: Final = 0.85
+"""Of the usual mean confidence. Most pictures below it are seen in a region that slipped off the
+body, as happens when people rise fast; some are of people who turn away."""
+USUAL_GAIN: Final = 0.1
+DOUBTFUL_GAIN: Final = 0.02
+"""How fast the usual confidence follows that of sure and of doubtful pictures."""
+DOUBTFUL_EVERY: Final = 3
+"""Pictures between new looks for a person of whom the landmarks are doubtful."""
 LEFT_HIP, RIGHT_HIP = MEDIAPIPE_33.index("left_hip"), MEDIAPIPE_33.index("right_hip")
 
 
@@ -264,6 +272,8 @@ class _AssociatedFollower:
         self._follower = follower
         self._last_good: tuple[int, PersonBox] | None = None
         self._last_box: PersonBox | None = None
+        self._usual_confidence: float | None = None
+        self._last_retry = -DOUBTFUL_EVERY
 
     def begin(self, tracked: TrackedFrame) -> _Glance:
         """Begin to look at the next frame."""
@@ -292,6 +302,9 @@ class _AssociatedFollower:
         had_slipped = landmarks is not None and not _fits(landmarks, tracked, is_observed)
         if had_slipped:
             landmarks = self._start_again(tracked, box, is_observed)
+        elif landmarks is not None and self._is_doubtful(landmarks, row):
+            self._last_retry = row
+            landmarks = self._look_anew(landmarks, tracked, box, is_observed)
         record.add(tracked, landmarks)
         suspects: list[int] = []
         if before is not None and compute_box_iou(before, box) < EXCHANGE_IOU:
@@ -311,6 +324,31 @@ class _AssociatedFollower:
             return landmarks
         self._follower.restart()
         return None
+
+    def _is_doubtful(self, landmarks: Landmarks, row: int) -> bool:
+        """Whether the region may have slipped off the body, and it is time to see."""
+        confidence = _mean_confidence(landmarks)
+        usual = confidence if self._usual_confidence is None else self._usual_confidence
+        is_low = confidence < DOUBTFUL_SHARE * usual
+        gain = DOUBTFUL_GAIN if is_low else USUAL_GAIN
+        self._usual_confidence = usual + gain * (confidence - usual)
+        return is_low and row - self._last_retry >= DOUBTFUL_EVERY
+
+    def _look_anew(
+        self, landmarks: Landmarks, tracked: TrackedFrame, box: PersonBox, is_observed: bool
+    ) -> Landmarks:
+        """Return the surer of the landmarks and of those in a region that is found afresh."""
+        region = self._follower.region
+        self._follower.restart()
+        again = self._follower.update(tracked.frame.image, search_region(box))
+        if (
+            again is not None
+            and _mean_confidence(again) > _mean_confidence(landmarks)
+            and _fits(again, tracked, is_observed)
+        ):
+            return again
+        self._follower.resume(region)
+        return landmarks
 
     def _find_suspects(self, record: _Record, row: int, box: PersonBox) -> list[int]:
         """Return the rows since the last agreement that don't fit where the person went."""
@@ -346,6 +384,10 @@ def landmark_confidence(landmarks: Landmarks) -> Array:
     Both must hold for a measured position; their product would count what they share twice.
     """
     return np.minimum(landmarks.visibility, landmarks.presence)
+
+
+def _mean_confidence(landmarks: Landmarks) -> float:
+    return float(landmark_confidence(landmarks).mean())
 
 
 def _fits(landmarks: Landmarks, tracked: TrackedFrame, is_observed: bool) -> bool:

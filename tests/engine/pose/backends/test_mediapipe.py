@@ -136,6 +136,44 @@ def test_landmarks_that_slip_to_somebody_else_are_taken_back(networks):
     np.testing.assert_allclose(hips_x(pose)[6:], 420, atol=15)
 
 
+class SlippingNetworks(StandInNetworks):
+    """After some looks the region slips off the body: less sure landmarks, until sought afresh."""
+
+    def __init__(self, *, slips_at: int, cures: bool) -> None:
+        super().__init__()
+        self.n_looks, self.slips_at, self.cures = 0, slips_at, cures
+
+    def detect(self, *args, **kwargs):
+        self.slips_at = 10**6 if self.cures and self.n_looks > self.slips_at else self.slips_at
+        return super().detect(*args, **kwargs)
+
+    def find_landmarks(self, image, region: Region) -> Landmarks:
+        self.n_looks += 1
+        seen = super().find_landmarks(image, region)
+        if self.n_looks <= self.slips_at:
+            return seen
+        return replace(seen, image=seen.image + 30, presence=seen.presence * 0.7)
+
+
+def test_a_region_that_slips_off_the_body_is_sought_afresh(monkeypatch):
+    networks = SlippingNetworks(slips_at=8, cures=True)
+    monkeypatch.setattr(mediapipe, "BlazePoseNetworks", lambda *_args, **_kwargs: networks)
+    pose = Backend(PoseConfig()).estimate(tracked([([300], 300, [])] * 20), VIEW, ignore_progress)
+    np.testing.assert_allclose(hips_x(pose), 300, atol=15)
+    np.testing.assert_allclose(pose.image.confidence, 0.8)
+    assert networks.n_detections == 2
+
+
+def test_doubtful_landmarks_stay_where_nothing_better_is_found(monkeypatch):
+    networks = SlippingNetworks(slips_at=8, cures=False)
+    monkeypatch.setattr(mediapipe, "BlazePoseNetworks", lambda *_args, **_kwargs: networks)
+    pose = Backend(PoseConfig()).estimate(tracked([([300], 300, [])] * 20), VIEW, ignore_progress)
+    assert np.isfinite(pose.image.position).all()
+    np.testing.assert_allclose(pose.image.confidence[10:], 0.56)
+    # Not in every picture: a search costs as much as three of them.
+    assert 2 < networks.n_detections <= 6
+
+
 def test_frames_between_looks_that_showed_somebody_else_are_removed(networks):
     # The person goes right, BlazePose stays with somebody at 300; the next look is at frame 10.
     scene = [([300], 300, [])] + [([300], 300 + 12 * i, []) for i in range(1, 10)]
