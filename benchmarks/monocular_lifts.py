@@ -159,9 +159,11 @@ def measure(video: Path, cache: Path, config: Config) -> dict[str, float | str]:
     }
     if result.lifts:
         nearest = min(range(len(result.lifts)), key=lambda i: _off(result.lifts[i], truth))
-        details = result.risk["rnle"].per_lift[nearest].details
+        limit = result.risk["rnle"].per_lift[nearest]
         row |= compare_lift(result.lifts[nearest], truth)
-        row |= compare_rwl(details, truth)
+        row["rnle refused"] = not limit.is_applicable
+        if limit.is_applicable:
+            row |= compare_rwl(limit.details, truth)
     return row
 
 
@@ -232,12 +234,14 @@ def summarise(rows: pd.DataFrame) -> str:
     counts = groups.agg(
         videos=("lifts", "size"),
         one_lift=("lifts", lambda v: int((v == 1).sum())),
+        rnle_refused=("rnle refused", "sum"),
         coverage=("coverage", "mean"),
     ).round(3)
     whole = rows[list(columns)].abs().mean().round(2).to_frame("all videos").T
     parts = (
         (
-            "Videos, those with exactly one lift found (there is one in each), share measured",
+            "Videos, those with exactly one lift found (there is one in each), those of which the "
+            "lifting equation refuses that lift, share measured",
             counts,
         ),
         ("Mean absolute error (s, cm, degrees, kg)", absolute),
