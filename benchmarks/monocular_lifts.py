@@ -240,8 +240,10 @@ def summarise(rows: pd.DataFrame) -> str:
     whole = rows[list(columns)].abs().mean().round(2).to_frame("all videos").T
     parts = (
         (
-            "Videos, those with exactly one lift found (there is one in each), those of which the "
-            "lifting equation refuses that lift, share measured",
+            (
+                "Videos, those with exactly one lift found (there is one in each), those of which "
+                "the lifting equation refuses that lift, share measured"
+            ),
             counts,
         ),
         ("Mean absolute error (s, cm, degrees, kg)", absolute),
