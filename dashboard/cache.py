@@ -12,9 +12,10 @@ from typing import IO, Any
 
 import streamlit as st
 
-from engine.datatypes import ViewInfo
+from engine.datatypes import JointAngles, ViewInfo
 from engine.errors import DataError
 from engine.jobs.local import JobQueue
+from engine.kinematics.fitting import geometric
 from engine.storage.library import Library
 from engine.storage.results import RESULT_FILES, StoredResult, read_result
 from engine.video.reader import probe_video
@@ -63,6 +64,29 @@ def result(trial_id: str) -> StoredResult:
 @st.cache_resource(max_entries=8, show_spinner=False)
 def _read_result(folder: str, _stamp_ns: int) -> StoredResult:
     return read_result(Path(folder))
+
+
+@st.cache_resource(max_entries=8, show_spinner=False)
+def uncorrected_angles(trial_id: str) -> JointAngles:
+    """Return a trial's joint angles straight from the keypoints, before any correction.
+
+    Angles that mean something else without a body model are left out where one was fitted.
+
+    Raises
+    ------
+    DataError
+        If there is no such trial, or its result is damaged.
+    """
+    stored = result(trial_id)
+    found = geometric.SOLVER.fit(stored.raw, stored.subject).angles
+    if stored.body is None:
+        return found
+    keep = [i for i, name in enumerate(found.names) if name not in geometric.WITHOUT_PELVIS]
+    return JointAngles(
+        time_s=found.time_s,
+        value_deg=found.value_deg[:, keep],
+        names=tuple(found.names[i] for i in keep),
+    )
 
 
 def zip_result(folder: Path) -> bytes:

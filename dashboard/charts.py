@@ -19,9 +19,17 @@ DARK = ("#6bc0f0", "#ff9e5e", "#4fd3a8")
 DASHES = ("solid", "dash", "dot")
 """Curves differ by dash too, never by colour alone."""
 
+MARKS = {Status.FILLED: ("Filled in", "circle-open"), Status.REPAIRED: ("Sides put right", "x")}
+"""Samples that are not as they were seen: what the legend says, and the symbol."""
+
 
 def plot_angles(
-    angles: JointAngles, names: Sequence[str], lifts: Sequence[Lift], *, dark: bool = False
+    angles: JointAngles,
+    names: Sequence[str],
+    lifts: Sequence[Lift],
+    *,
+    before: JointAngles | None = None,
+    dark: bool = False,
 ) -> go.Figure:
     """Plot joint angles over time with their errors, gaps and the lifts.
 
@@ -33,11 +41,15 @@ def plot_angles(
         Which of them.
     lifts
         Shaded from lift-off to set-down.
+    before
+        The same angles before the correction, drawn thin beneath; names it lacks are left out.
     dark
         Whether the page is dark.
     """
     figure = go.Figure()
     for name, color, dash in zip(names, DARK if dark else LIGHT, DASHES, strict=False):
+        if before is not None and name in before.names:
+            _add_uncorrected(figure, before, name, color=color)
         column = angles.names.index(name)
         _add_curve(figure, angles, column, color=color, dash=dash)
     _add_lifts(figure, lifts, dark=dark)
@@ -90,19 +102,42 @@ def _add_curve(
         hovertemplate="%{y:.0f}° ± %{customdata:.0f}°",
     )
     assert angles.status is not None  # set by JointAngles itself
-    filled = (angles.status[:, column] == Status.FILLED) & np.isfinite(value)
-    if filled.any():
-        figure.add_scatter(
-            x=time_s[filled],
-            y=value[filled],
-            mode="markers",
-            marker={"symbol": "circle-open", "size": 6, "color": color, "line": {"width": 1.4}},
-            name="Filled in",
-            legendgroup="filled",
-            legendrank=2000,
-            showlegend=not any(trace.legendgroup == "filled" for trace in figure.data),
-            hoverinfo="skip",
-        )
+    for status, (title, symbol) in MARKS.items():
+        is_marked = (angles.status[:, column] == status) & np.isfinite(value)
+        if is_marked.any():
+            figure.add_scatter(
+                x=time_s[is_marked],
+                y=value[is_marked],
+                mode="markers",
+                marker={"symbol": symbol, "size": 6, "color": color, "line": {"width": 1.4}},
+                name=title,
+                legendgroup=title,
+                legendrank=2000,
+                showlegend=_is_new(figure, title),
+                hoverinfo="skip",
+            )
+
+
+def _add_uncorrected(figure: go.Figure, before: JointAngles, name: str, *, color: str) -> None:
+    title = "Before correction"
+    figure.add_scatter(
+        x=before.time_s,
+        y=before[name],
+        mode="lines",
+        line={"color": color, "width": 1},
+        opacity=0.6,
+        name=title,
+        legendgroup=title,
+        legendrank=3000,
+        showlegend=_is_new(figure, title),
+        connectgaps=False,
+        hoverinfo="skip",
+    )
+
+
+def _is_new(figure: go.Figure, group: str) -> bool:
+    """Whether the legend has no entry of this group yet."""
+    return all(trace.legendgroup != group for trace in figure.data)
 
 
 def _add_lifts(figure: go.Figure, lifts: Sequence[Lift], *, dark: bool) -> None:

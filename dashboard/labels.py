@@ -81,9 +81,14 @@ JOB_STATES: dict[JobState, str] = {
 JOINTS: dict[str, tuple[str, ...]] = {
     "Trunk": ("trunk_flexion", "trunk_lateral_bend", "trunk_twist"),
     "Lower back": ("lumbar_flexion", "lumbar_bending", "lumbar_rotation"),
+    "Pelvis": ("pelvis_tilt", "pelvis_list", "pelvis_rotation"),
+    "Neck": ("neck_flexion",),
     "Hips": ("hip_flexion_l", "hip_flexion_r"),
+    "Hips, sideways": ("hip_adduction_l", "hip_adduction_r"),
     "Knees": ("knee_flexion_l", "knee_flexion_r"),
+    "Ankles": ("ankle_dorsiflexion_l", "ankle_dorsiflexion_r"),
     "Shoulders": ("shoulder_flexion_l", "shoulder_flexion_r"),
+    "Shoulders, sideways": ("shoulder_adduction_l", "shoulder_adduction_r"),
     "Elbows": ("elbow_flexion_l", "elbow_flexion_r"),
 }
 
@@ -149,6 +154,11 @@ HELP: dict[str, str] = {
     "control": (
         "Must the load be placed with care: guided, held still or gripped anew at the end "
         "(significant control)? Then the end of the lift is judged like its start."
+    ),
+    "before": (
+        "The angles straight from the joints as they were seen: not cleaned, not filled, not "
+        "smoothed. Marks on the thick curve show samples that were filled in, and samples whose "
+        "left and right were exchanged."
     ),
     "lifting_index": (
         "Load divided by the recommended weight limit (Revised NIOSH Lifting Equation). Up to "

@@ -175,7 +175,10 @@ def show_angles(result: StoredResult) -> None:
         "Joint", list(there), default=first, required=True, label_visibility="collapsed"
     )
     names = there[joint or first]
-    figure = charts.plot_angles(result.angles, names, result.lifts, dark=is_dark())
+    before = None
+    if st.toggle("Show the curves before correction", help=labels.HELP["before"]):
+        before = cache.uncorrected_angles(result.folder.name)
+    figure = charts.plot_angles(result.angles, names, result.lifts, before=before, dark=is_dark())
     st.plotly_chart(
         figure, config={"displaylogo": False, "displayModeBar": False}, alt=f"{joint} angles"
     )
@@ -282,12 +285,27 @@ def show_confidence(result: StoredResult) -> None:
         ("Direction the person faces", _error(scene.heading_sigma_deg, "°")),
         ("Height of the floor", _error(100 * scene.floor_sigma_m, "cm")),
         ("Seen from", labels.name_view(scene.view_azimuth_deg)),
+        *_body_facts(result.document.get("body")),
     )
     head = (("What the measurement rests on", ""), ("± is one standard error", ""))
     st.html(table_html(head, facts, css="ll-plain"))
     if result.warnings:
         st.markdown("**Warnings of the measurement**")
         st.html(list_html(map(labels.sentence, result.warnings)))
+
+
+def _body_facts(body: Mapping[str, Any] | None) -> Iterable[tuple[str, str]]:
+    """Say how well the body model fits the joints that were seen."""
+    if body is None:
+        return
+    median, most = (body["residual_cm"][key] for key in ("median", "p95"))
+    distance = (
+        "nowhere fitted"
+        if median is None
+        else f"{median:.1f} cm (median), below {most:.1f} cm in 95 % of the pictures"
+    )
+    yield "Distance of the joints from the body model", distance
+    yield "Body model fitted", f"in {body['fitted']:.0%} of the pictures"
 
 
 def _error(value: float, unit: str) -> str:

@@ -106,14 +106,27 @@ def test_the_band_is_two_standard_errors_to_either_side():
     assert band.y[0] - angles[NAMES[0]][0] == pytest.approx(9.8)
 
 
-def test_filled_samples_are_marked_once_in_the_legend():
+@pytest.mark.parametrize(
+    ("changed", "word"), [(Status.FILLED, "Filled in"), (Status.REPAIRED, "Sides put right")]
+)
+def test_changed_samples_are_marked_once_in_the_legend(changed, word):
     made = make_angles()
     status = np.array(made.status)
-    status[5:8] = Status.FILLED
+    status[5:8] = changed
     angles = JointAngles(made.time_s, made.value_deg, made.names, made.sigma_deg, status)
-    marked = [t for t in plot_angles(angles, NAMES, []).data if t.name == "Filled in"]
+    marked = [t for t in plot_angles(angles, NAMES, []).data if t.name == word]
     assert [len(t.x) for t in marked] == [3, 3]
     assert [t.showlegend for t in marked] == [True, False]
+
+
+def test_curves_before_correction_are_thin_and_keep_their_gaps():
+    before = make_angles(missing=[(4, NAMES[0])], names=NAMES[:1])
+    figure = plot_angles(make_angles(), NAMES, [], before=before)
+    thin = [t for t in figure.data if t.name == "Before correction"]
+    assert len(thin) == 1
+    assert np.isnan(thin[0].y[4])
+    thick = [t for t in figure.data if t.name == "Knee flexion, left"]
+    assert thin[0].line.width < thick[0].line.width
 
 
 def test_left_and_right_differ_by_more_than_colour():

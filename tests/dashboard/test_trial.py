@@ -7,7 +7,7 @@ import pytest
 
 from dashboard import cache
 from engine.storage.results import write_result
-from tests.builders import make_risk, make_scene, make_trial_result
+from tests.builders import make_body_fit, make_risk, make_scene, make_trial_result
 from tests.dashboard.results import add_trial, make_shown_result
 from tests.dashboard.test_app import html
 
@@ -83,6 +83,41 @@ def test_every_joint_can_be_plotted(app, trial_id):
         app.run()
         assert not app.exception
         assert len(app.get("plotly_chart")) == 1
+
+
+def test_the_curves_before_correction_can_be_shown(app, trial_id):
+    open_trial(app, trial_id)
+    (switch,) = [t for t in app.toggle if "before correction" in t.label]
+    switch.set_value(True)
+    app.run()
+    assert not app.exception
+    assert "Before correction" in app.get("plotly_chart")[0].proto.spec
+
+
+def test_the_fit_of_the_body_model_is_shown(app, library):
+    fitted = dataclasses.replace(
+        make_shown_result(), body=make_body_fit(n_frames=180, missing=range(18))
+    )
+    shown = html(open_trial(app, store(library, fitted)))
+    assert "2.0 cm (median)" in shown
+    assert "in 90% of the pictures" in shown
+
+
+def test_a_body_model_that_fitted_nowhere_says_so(app, library):
+    fitted = dataclasses.replace(
+        make_shown_result(), body=make_body_fit(n_frames=180, missing=range(180))
+    )
+    assert "nowhere fitted" in html(open_trial(app, store(library, fitted)))
+
+
+def test_hip_angles_of_another_meaning_are_not_compared(app, library):
+    plain = make_shown_result()
+    fitted = dataclasses.replace(plain, body=make_body_fit(n_frames=180))
+    for stored, is_there in ((plain, True), (fitted, False)):
+        write_result(stored, library.folder(f"with_{is_there}"))
+        names = cache.uncorrected_angles(f"with_{is_there}").names
+        assert ("hip_flexion_l" in names) == is_there
+        assert "knee_flexion_l" in names
 
 
 def test_gaps_are_named(app, trial_id):

@@ -18,7 +18,7 @@ from engine.kinematics import angles as geometry
 from engine.kinematics.fitting.base import SolverInfo, require_world_metres
 from engine.skeletons import Skeleton, get_skeleton
 
-__all__ = ["SOLVER", "propagate_sigma"]
+__all__ = ["SOLVER", "WITHOUT_PELVIS", "propagate_sigma"]
 
 Points = Mapping[str, Array]
 AngleFunction = Callable[[Points], Array]
@@ -28,6 +28,9 @@ UNKNOWN_SIGMA_DEG = 360.0 / np.sqrt(12.0)
 
 INDEPENDENT_AFTER_S = 0.1
 """Samples of a track smoothed at some 6 Hz repeat each other's errors within this time."""
+
+WITHOUT_PELVIS = ("hip_flexion_l", "hip_flexion_r")
+"""Measured against the trunk line here, against the pelvis by solvers with a body model."""
 
 WORST_FIRST = (
     Status.MISSING,
