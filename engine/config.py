@@ -156,19 +156,35 @@ class CameraConfig:
 class CorrectionConfig:
     """How keypoints are cleaned.
 
-    `preset` is `default`, `paper` or `none`; gaps longer than `max_gap_s` stay missing;
-    `cutoff_hz` is that of the zero-lag filter after both passes.
+    `preset` is `default`, `paper` (Choi et al. 2024) or `none`; gaps longer than `max_gap_s` stay
+    missing. `smoother` names the filter and the others are its parameters: `cutoff_hz` that of
+    the zero-lag `butterworth` after both passes; `window_s` of `savitzky_golay`, `median` and
+    `hampel`; `jerk` (m/s^2.5) of `kalman`; `min_cutoff_hz` and `beta` (Hz per m/s) of `one_euro`.
+    `repair_swaps` exchanges mixed-up sides back, `reject_outliers` tests link lengths.
     """
 
     preset: Literal["default", "paper", "none"] = "default"
     min_confidence: float = 0.3
     max_gap_s: float = 0.5
+    smoother: Literal[
+        "butterworth", "kalman", "savitzky_golay", "median", "hampel", "one_euro", "none"
+    ] = "butterworth"
     cutoff_hz: float = 6.0
+    window_s: float = 0.3
+    jerk: float = 30.0
+    min_cutoff_hz: float = 1.0
+    beta: float = 0.5
+    repair_swaps: bool = True
+    reject_outliers: bool = True
 
     def __post_init__(self) -> None:
         _require_between(0.0, 1.0, min_confidence=self.min_confidence)
         _require_between(0.0, math.inf, max_gap_s=self.max_gap_s)
         _require_between(0.1, 1000.0, cutoff_hz=self.cutoff_hz)
+        _require_between(0.0, 60.0, window_s=self.window_s)
+        _require_between(0.1, 10000.0, jerk=self.jerk)
+        _require_between(0.01, 1000.0, min_cutoff_hz=self.min_cutoff_hz)
+        _require_between(0.0, 1000.0, beta=self.beta)
 
 
 @dataclass(frozen=True)

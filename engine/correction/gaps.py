@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 
 from engine.datatypes import Array
 
-__all__ = ["fill_gaps", "find_runs", "long_gaps"]
+__all__ = ["fill_by_mean", "fill_gaps", "find_runs", "long_gaps"]
 
 
 def find_runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -76,4 +76,30 @@ def fill_gaps(time_s: Array, values: Array, *, max_gap_s: float) -> Array:
     to_fill = is_missing & ~long_gaps(time_s, is_missing, max_gap_s=max_gap_s)
     if to_fill.any():
         filled[to_fill] = PchipInterpolator(time_s[known], values[known])(time_s[to_fill])
+    return filled
+
+
+def fill_by_mean(values: Array) -> Array:
+    """Fill every gap by the mean of the samples just before and just after it.
+
+    As published by Choi et al. (2024): all samples of a gap get one value, whatever its length.
+    Gaps at the ends hold the nearest sample.
+
+    Parameters
+    ----------
+    values
+        Shape (T, C); a sample is missing when any of its columns is NaN.
+
+    Returns
+    -------
+    Array
+        Shape (T, C); NaN only if nothing was ever seen.
+    """
+    is_missing = np.asarray(~np.isfinite(values).all(axis=1))
+    filled = np.where(is_missing[:, None], np.nan, values)
+    if is_missing.all():
+        return filled
+    for start, stop in find_runs(is_missing):
+        sides = [filled[i] for i in (start - 1, stop) if 0 <= i < len(filled)]
+        filled[start:stop] = np.mean(sides, axis=0)
     return filled

@@ -68,6 +68,8 @@ def test_none_returns_the_track_itself():
     assert correct_track(track, preset="none") is track
 
 
-def test_missing_preset_says_what_to_use():
-    with pytest.raises(ConfigError, match="use 'default' or 'none'"):
-        correct_track(make_track(), preset="paper")
+def test_unknown_names_say_what_there_is():
+    with pytest.raises(ConfigError, match="'default', 'paper' or 'none'"):
+        correct_track(make_track(), preset="best")
+    with pytest.raises(ConfigError, match="must be one of butterworth, kalman"):
+        correct_track(make_track(), smoother="moving_average")
