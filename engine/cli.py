@@ -152,7 +152,10 @@ def assess(
     ] = None,
     backend: Annotated[str | None, typer.Option(help="Estimator; see `liftlens backends`.")] = None,
     solver: Annotated[
-        str | None, typer.Option(help="What turns keypoints into joint angles.")
+        str | None,
+        typer.Option(
+            help="What turns keypoints into joint angles: geometric, least-squares or udeas."
+        ),
     ] = None,
     stature: Annotated[
         float | None, _number_option("The person's stature in metres, for example 1.75.")
@@ -187,7 +190,7 @@ def assess(
         str | None, typer.Option(help="Name of the trial; by default that of the video.")
     ] = None,
     correction: Annotated[
-        str | None, typer.Option(help="How keypoints are cleaned: default or none (paper: later).")
+        str | None, typer.Option(help="How keypoints are cleaned: default, paper or none.")
     ] = None,
     fusion: Annotated[
         str | None, typer.Option(help="How two views are joined: not available yet.")

@@ -128,7 +128,6 @@ def build_settings(
             tables[table] = {**tables.get(table, {}), key: _as_setting(name, value)}
     own = {name: build_section(name, kind, _own_table(tables, name)) for name, kind in _own()}
     config = build_config({k: v for k, v in tables.items() if k not in OWN_TABLES})
-    _check_preset(config)
     about, run = own["trial"], own["run"]
     return AssessSettings(
         trial=Trial(
@@ -178,14 +177,6 @@ def _own_table(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
     if name == "task" and "coupling" in table:
         table["coupling"] = parse_coupling(table["coupling"])
     return table
-
-
-def _check_preset(config: Config) -> None:
-    if config.correction.preset == "paper":
-        # Known now, so nobody waits minutes for the step that would say so.
-        raise ConfigError(
-            "The correction 'paper' is not available yet; use 'default' or 'none', or leave it out."
-        )
 
 
 def _as_setting(name: str, value: Any) -> Any:

@@ -224,7 +224,7 @@ class TestWrongUse:
             ("--frequency=-1", "Lifting frequency"),
             ("--duration 30", "Duration"),
             ("--correction best", "correction.preset must be one of"),
-            ("--correction paper", "not available yet"),
+            ("--correction magic", "must be one of default, paper, none"),
             ("--box 1,2,3", "--box needs four numbers"),
             ("--box 9,2,3,4", "left < right"),
             ("--box a,b,c,d", "--box needs four numbers"),
