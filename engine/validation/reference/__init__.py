@@ -1,0 +1,1 @@
+"""Reading reference recordings: markers and joint angles of other systems."""
