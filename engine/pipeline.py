@@ -136,7 +136,9 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
             **dataclasses.asdict(config.camera),
         )
     with _timed(timings, "correction"):
-        corrected = correct_track(raw, **dataclasses.asdict(config.correction))
+        corrected = correct_track(
+            raw, stature_m=trial.subject.stature.value, **dataclasses.asdict(config.correction)
+        )
     with _timed(timings, "kinematics"):
         solver = select_solver(config.kinematics.solver)
         fit = solver.fit(corrected, trial.subject)
@@ -156,7 +158,12 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
         lifts=findings.lifts,
         risk=risk,
         flags=flags,
-        warnings=(*_warn(trial, pose, scene), *fit.warnings, *findings.warnings),
+        warnings=(
+            *_warn(trial, pose, scene),
+            *_warnings_of_correction(corrected),
+            *fit.warnings,
+            *findings.warnings,
+        ),
         config=config.as_dict(),
         backend=config.pose.backend,
         solver=config.kinematics.solver,
@@ -248,7 +255,7 @@ def _find_lifts(
     if settings["preset"] == "none":
         settings["preset"] = "default"
     return detect_lifts(
-        correct_track(raw, **settings),
+        correct_track(raw, stature_m=trial.subject.stature.value, **settings),
         angles,
         scene,
         stature_m=trial.subject.stature.value,
@@ -270,6 +277,10 @@ def _warn(trial: Trial, pose: ViewPose, scene: WorldScene) -> Iterator[str]:
             "The person never stands upright in the video, so scale and floor are uncertain by "
             f"about {100 * scene.scale_sigma:.0f} %. Film a second of upright standing."
         )
+
+
+def _warnings_of_correction(corrected: PoseTrack) -> Iterator[str]:
+    yield from corrected.provenance.get("correction", {}).get("warnings", ())
 
 
 def _warn_of_video(pose: ViewPose) -> Iterator[str]:

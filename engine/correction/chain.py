@@ -125,7 +125,10 @@ def correct_track(
         **describe_diagnosis(found),
         "gated": n_gated,
         "unrepairable": unrepairable,
-        "warnings": list_warnings(found, len(unrepairable)),
+        # What was merely hidden shows in the coverage.
+        "warnings": list_warnings(
+            found, sum(stretch["reason"] != "low confidence" for stretch in unrepairable)
+        ),
     }
     return _with_note(corrected, "default", note)
 

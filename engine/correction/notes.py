@@ -126,6 +126,7 @@ def list_warnings(found: Diagnosis, unrepairable: int) -> list[str]:
             )
     if unrepairable:
         warnings.append(
-            f"{unrepairable} stretch(es) were wrong for too long to be filled and stay missing."
+            f"{unrepairable} stretch(es) of keypoints were misplaced for too long to be filled and "
+            "stay missing."
         )
     return warnings
