@@ -36,6 +36,7 @@ SHOULDER_DROP = 0.17
 """Shoulder centre below the acromion, as a share of the distance between both acromia [3]_."""
 STRAIGHT_SINE = 0.2
 """A limb bent by less than this sine hardly shows its own flexion axis."""
+PLANE_ITERATIONS = 5
 
 SEGMENT_M: Mapping[str, tuple[float, float]] = {
     "shoulder_width": (0.20, 0.55),
@@ -209,37 +210,47 @@ def _add_hips(points: _Points, method: HipMethod) -> None:
 
 
 def shift_inwards(
-    proximal: Array, outer: Array, distal: Array, *, across: Array, half_width_m: float
+    proximal: Array,
+    outer: Array,
+    distal: Array,
+    *,
+    across: Array,
+    half_width_m: float,
+    distal_half_width_m: float = 0.0,
 ) -> Array:
     """Estimate a hinge's centre from its outer marker alone.
 
     The centre lies `half_width_m` from the marker along the flexion axis. A bent limb shows that
     axis: it is normal to the plane of both segments. For a straight limb it is taken to lie as
     near as possible to `across`; between the two the directions are blended, so that the centre
-    does not jump.
+    does not jump. Plane and centre depend on each other and are found in turn.
 
     Parameters
     ----------
     proximal, outer, distal
-        Shape (T, 3), m: the joint or marker above, the outer marker, the one below.
+        Shape (T, 3), m: the joint centre above, the outer marker, the joint centre below or,
+        with `distal_half_width_m`, its outer marker.
     across
         Shape (T, 3): from the outer side inwards, such as from the right to the left hip.
-    half_width_m
-        From the marker's middle to the joint centre.
+    half_width_m, distal_half_width_m
+        From a marker's middle to the joint centre.
 
     Returns
     -------
     Array
         Shape (T, 3), m.
     """
-    upper, lower = _unit(outer - proximal), _unit(distal - outer)
-    normal = np.cross(upper, lower)
     inwards = _unit(across)
-    # The normal's sign depends on the way the joint bends; the axis itself has none.
-    normal = normal * np.where(_dot(normal, inwards) < 0, -1.0, 1.0)
-    limb = _unit(distal - proximal)
-    prior = inwards - _dot(inwards, limb) * limb
-    return outer + half_width_m * _unit(normal + STRAIGHT_SINE * prior)
+    axis = inwards
+    for _ in range(PLANE_ITERATIONS):
+        centre, below = outer + half_width_m * axis, distal + distal_half_width_m * axis
+        limb = _unit(below - proximal)
+        prior = inwards - _dot(inwards, limb) * limb
+        normal = np.cross(_unit(centre - proximal), _unit(below - centre))
+        # The normal's sign depends on the way the joint bends; the axis itself has none.
+        normal = normal * np.where(_dot(normal, inwards) < 0, -1.0, 1.0)
+        axis = _unit(normal + STRAIGHT_SINE * prior)
+    return outer + half_width_m * axis
 
 
 def _inwards(points: _Points, side: str) -> Array | None:
@@ -263,6 +274,7 @@ def _add_hinge(
     above: Array | None,
     below: Array | None,
     half_width_m: float,
+    below_half_width_m: float = 0.0,
 ) -> None:
     """Add a joint half-way between its two markers, or inwards from the outer one."""
     middle = points.mean(f"{side}_lateral_{joint}", f"{side}_medial_{joint}")
@@ -270,7 +282,14 @@ def _add_hinge(
     outer, across = points.get(f"{side}_lateral_{joint}"), _inwards(points, side)
     if outer is None or above is None or below is None or across is None:
         return
-    centre = shift_inwards(above, outer, below, across=across, half_width_m=half_width_m)
+    centre = shift_inwards(
+        above,
+        outer,
+        below,
+        across=across,
+        half_width_m=half_width_m,
+        distal_half_width_m=below_half_width_m,
+    )
     source = f"{1000 * half_width_m:.0f} mm inwards of the outer marker (assumed width)"
     points.add(f"{side}_{joint}", centre, source)
 
@@ -278,7 +297,15 @@ def _add_hinge(
 def _add_leg(points: _Points, side: str) -> None:
     hip, knee = points.centre(f"{side}_hip"), points.get(f"{side}_lateral_knee")
     ankle = points.get(f"{side}_lateral_ankle")
-    _add_hinge(points, side, "knee", above=hip, below=ankle, half_width_m=HALF_KNEE_M)
+    _add_hinge(
+        points,
+        side,
+        "knee",
+        above=hip,
+        below=ankle,
+        half_width_m=HALF_KNEE_M,
+        below_half_width_m=HALF_ANKLE_M,
+    )
     # The axis of the ankle follows that of the knee, as the foot hardly turns on the shank.
     middle = points.mean(f"{side}_lateral_ankle", f"{side}_medial_ankle")
     points.add(f"{side}_ankle", middle, "half-way between two markers")

@@ -1,0 +1,102 @@
+"""Curves and tracks at other times, without bridging gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from engine.datatypes import Array, JointAngles, PoseTrack
+
+__all__ = ["resample_angles", "resample_positions", "shift_positions", "swap_sides", "wrap_deg"]
+
+MAX_GAP_S = 0.1
+"""Longer gaps stay gaps when curves are brought to other times."""
+
+
+def wrap_deg(angle: Array) -> Array:
+    """Bring angles to -180 to 180 degrees."""
+    return np.asarray((angle + 180.0) % 360.0 - 180.0)
+
+
+def _unwrap(curve: Array) -> Array:
+    """Undo jumps of a full turn, across gaps too; shape (T,), degrees."""
+    known = np.isfinite(curve)
+    result = np.array(curve)
+    result[known] = np.unwrap(curve[known], period=360.0)
+    return result
+
+
+def _interpolate(time_s: Array, curve: Array, wanted_s: Array, *, max_gap_s: float) -> Array:
+    """Return a curve at other times; NaN outside, and inside gaps longer than `max_gap_s`."""
+    known = np.isfinite(curve)
+    if not known.any():
+        return np.full(wanted_s.shape, np.nan)
+    own = time_s[known]
+    value = np.interp(wanted_s, own, curve[known], left=np.nan, right=np.nan)
+    after = np.searchsorted(own, wanted_s)
+    gap = own[np.clip(after, 0, own.size - 1)] - own[np.clip(after - 1, 0, own.size - 1)]
+    is_sample = np.isin(wanted_s, own)
+    return np.where((gap > max_gap_s) & ~is_sample, np.nan, value)
+
+
+def _gap_limit(time_s: Array, max_gap_s: float) -> float:
+    """Return the longest gap to bridge: at least one and a half frames."""
+    usual = float(np.median(np.diff(time_s))) if time_s.size > 1 else 0.0
+    return max(max_gap_s, 1.5 * usual)
+
+
+def resample_angles(
+    angles: JointAngles, time_s: Array, *, max_gap_s: float = MAX_GAP_S
+) -> JointAngles:
+    """Return angles at other times, by straight lines between samples.
+
+    Parameters
+    ----------
+    angles
+        Any rate, even or not.
+    time_s
+        Shape (T,), increasing, s.
+    max_gap_s
+        Longer gaps stay NaN. Jumps of a full turn are undone first.
+    """
+    limit = _gap_limit(angles.time_s, max_gap_s)
+    value, sigma = (
+        np.column_stack(
+            [_interpolate(angles.time_s, column, time_s, max_gap_s=limit) for column in columns]
+        )
+        for columns in (map(_unwrap, angles.value_deg.T), angles.sigma_deg.T)
+    )
+    return JointAngles(time_s, value, angles.names, sigma, convention=angles.convention)
+
+
+def resample_positions(
+    track: PoseTrack, time_s: Array, *, max_gap_s: float = MAX_GAP_S
+) -> PoseTrack:
+    """Return a track at other times (T,), by straight lines; longer gaps stay NaN."""
+    limit = _gap_limit(track.time_s, max_gap_s)
+    flat = track.position.reshape(track.n_frames, -1)
+    moved = [_interpolate(track.time_s, column, time_s, max_gap_s=limit) for column in flat.T]
+    shape = (len(time_s), *track.position.shape[1:])
+    return PoseTrack(
+        time_s=time_s,
+        position=np.column_stack(moved).reshape(shape),
+        unit=track.unit,
+        frame_of_reference=track.frame_of_reference,
+        skeleton=track.skeleton,
+        provenance=track.provenance,
+    )
+
+
+def shift_positions(track: PoseTrack, lag_s: float) -> PoseTrack:
+    """Return a track with other times."""
+    return replace(track, time_s=track.time_s + lag_s)
+
+
+def swap_sides(angles: JointAngles) -> JointAngles:
+    """Return angles with the names of left and right exchanged."""
+    other = {"_l": "_r", "_r": "_l"}
+    names = tuple(
+        f"{name[:-2]}{other[name[-2:]]}" if name[-2:] in other else name for name in angles.names
+    )
+    return replace(angles, names=names)
