@@ -11,7 +11,13 @@ from engine.datatypes import Array, Measurement, PoseTrack, Status
 from engine.errors import DataError
 from engine.skeletons import Skeleton, get_skeleton
 
-__all__ = ["ANTHROPOMETRY_SIGMA", "LINKS", "SegmentLengths", "estimate_segment_lengths"]
+__all__ = [
+    "ANTHROPOMETRY_SIGMA",
+    "LINKS",
+    "SegmentLengths",
+    "estimate_segment_lengths",
+    "prior_sigma_m",
+]
 
 _SHARE_OF_STATURE: Mapping[str, float] = {
     "thigh": 0.245,
@@ -141,18 +147,22 @@ def estimate_segment_lengths(
     position = _trusted(track, min_frames)
     typical = SegmentLengths.from_stature(stature.value).as_dict()
     lengths = dict(typical)
-    relative_stature = stature.sigma / stature.value if np.isfinite(stature.sigma) else 0.0
     for name, links in LINKS.items():
         seen = _distances(position, skeleton, links)
         if seen.size < min_frames:
             continue
-        prior_sigma = typical[name] * np.hypot(
-            ANTHROPOMETRY_SIGMA.get(name, _OTHER_SIGMA), relative_stature
-        )
-        lengths[name] = _blend(seen, Measurement(typical[name], float(prior_sigma)))
+        prior = Measurement(typical[name], prior_sigma_m(name, stature))
+        lengths[name] = _blend(seen, prior)
     lengths |= _estimate_head(position, skeleton, min_frames)
     lengths |= _estimate_foot(position, skeleton, min_frames)
     return SegmentLengths(**lengths)
+
+
+def prior_sigma_m(name: str, stature: Measurement) -> float:
+    """Return the standard deviation of a length among persons of about that stature, m."""
+    relative = stature.sigma / stature.value if np.isfinite(stature.sigma) else 0.0
+    typical = _SHARE_OF_STATURE[name] * stature.value
+    return float(typical * np.hypot(ANTHROPOMETRY_SIGMA.get(name, _OTHER_SIGMA), relative))
 
 
 def _trusted(track: PoseTrack, min_frames: int) -> Array:

@@ -101,7 +101,7 @@ EXTENSION: tuple[Variable, ...] = (
 ANGLE_VARIABLES: tuple[Variable, ...] = (*VARIABLES[1:], *EXTENSION)
 """Every angle of the figure, in the order of a full pose vector."""
 ANGLE_COUNT = len(ANGLE_VARIABLES)
-_COLUMN_OF = {variable.name: i for i, variable in enumerate(ANGLE_VARIABLES)}
+_COLUMN_OF: dict[str, int] = {variable.name: i for i, variable in enumerate(ANGLE_VARIABLES)}
 
 
 def column(name: str) -> int:

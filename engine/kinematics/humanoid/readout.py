@@ -17,8 +17,18 @@ from engine.errors import ShapeError
 from engine.kinematics import angles as geometry
 from engine.kinematics.humanoid.forward import body_axes, trunk_axes
 from engine.kinematics.humanoid.model import VARIABLES, column, to_world_axes
+from engine.kinematics.humanoid.rotation import compute_rotation, compute_vectors
 
-__all__ = ["WORLD_ANGLES", "angles_from_model", "read_limb_angles", "read_world_angles"]
+__all__ = [
+    "SHOULDER_ROWS",
+    "VARIABLE_OF",
+    "WORLD_ANGLES",
+    "angles_from_model",
+    "read_limb_angles",
+    "read_world_angles",
+    "shoulder_from_vectors",
+    "vectors_from_shoulder",
+]
 
 WORLD_ANGLES: tuple[str, ...] = (
     "trunk_inclination",
@@ -56,6 +66,11 @@ _DIRECT: Mapping[str, tuple[str, float]] = {
 
 VARIABLE_OF: Mapping[str, int] = {name: column(v) for name, (v, _) in _DIRECT.items()}
 """The place in a full pose vector of the variable that is, but for its sign, the angle."""
+
+SHOULDER_ROWS: Mapping[str, tuple[int, int, int]] = {
+    s: (column(f"theta_sh_{s}"), column(f"phi_sh_{s}"), column(f"psi_sh_{s}")) for s in ("l", "r")
+}
+"""The places in a full pose vector of a shoulder's three angles."""
 
 
 def angles_from_model(values: ArrayLike) -> dict[str, Array]:
@@ -108,6 +123,41 @@ def read_world_angles(angles: Array) -> Array:
     ahead = np.cos(tilt) * forward[:, 0] + np.sin(tilt) * forward[:, 1]
     turn = np.arctan2(-level, ahead)
     return np.stack([*found, *np.degrees([tilt, listing, turn])])
+
+
+def vectors_from_shoulder(angles: Array, side: str) -> Array:
+    """Return the rotation vector, as `Tree` takes it, of a shoulder's three angles; (3, T).
+
+    Parameters
+    ----------
+    angles
+        Shape (3, T), radians: theta, phi, psi; no NaN.
+    side
+        `l` or `r`.
+    """
+    sign = 1.0 if side == "l" else -1.0
+    st, sp, ss = np.sin(angles)
+    ct, cp, cs = np.cos(angles)
+    sp, ss = sign * sp, sign * ss
+    matrix = np.array(
+        [
+            [ct * cs + st * sp * ss, ct * ss - st * sp * cs, -st * cp],
+            [-cp * ss, cp * cs, -sp],
+            [st * cs - ct * sp * ss, st * ss + ct * sp * cs, ct * cp],
+        ]
+    )
+    vector = compute_vectors(np.moveaxis(matrix, 2, 0)).T
+    return np.stack([-vector[1], sign * vector[0], -sign * vector[2]])
+
+
+def shoulder_from_vectors(vectors: Array, side: str) -> Array:
+    """Return theta, phi, psi, shape (3, T), radians, of a shoulder given by rotation vectors."""
+    sign = 1.0 if side == "l" else -1.0
+    matrix = compute_rotation(np.stack([sign * vectors[1], -vectors[0], -sign * vectors[2]]))
+    theta = np.arctan2(-matrix[0, 2], matrix[2, 2])
+    phi = np.arcsin(np.clip(-sign * matrix[1, 2], -1.0, 1.0))
+    psi = -sign * np.arctan2(matrix[1, 0], matrix[1, 1])
+    return np.stack([theta, phi, psi])
 
 
 def read_limb_angles(angles: Array) -> dict[str, Array]:

@@ -23,6 +23,7 @@ from engine.kinematics.humanoid.model import (
     VARIABLES,
     column,
 )
+from engine.kinematics.humanoid.rotation import compute_rotation, compute_slope
 
 __all__ = ["POINTS", "Posture", "Tree", "compute_jacobian"]
 
@@ -129,9 +130,13 @@ class Tree:
     ----------
     points
         Names from `POINTS`.
+    by_vector
+        Joints whose three turns are the components of one rotation vector along the joint's axes
+        (same signs, same values for small angles), instead of one turn after the other.
     """
 
-    def __init__(self, points: Sequence[str]) -> None:
+    def __init__(self, points: Sequence[str], by_vector: Sequence[str] = ()) -> None:
+        self.by_vector = tuple(by_vector)
         unknown = [name for name in points if name not in POINTS]
         if unknown:
             raise ConfigError(f"The figure has no {', '.join(unknown)}; known: {tuple(POINTS)}.")
@@ -177,10 +182,18 @@ class Tree:
         for joint in self.joints:
             frame = np.array(frames[joint.parent])
             origin = _go(origin_of[joint.parent], frame, joint.place, lengths)
-            for axis, _, _ in joint.turns:
-                axes[turn], origins[turn] = frame[axis], origin
-                _rotate(frame, axis, sine[turn], cosine[turn])
-                turn += 1
+            last = turn + len(joint.turns)
+            origins[turn:last] = origin
+            if joint.name in self.by_vector:
+                # The whole turn at once: the axes are not those of single turns any more.
+                vector = self._vector(joint, angles)
+                axes[turn:last] = self._vector_axes(joint, frame, vector)
+                frame = np.einsum("ikt,ict->kct", compute_rotation(vector), frame)
+            else:
+                for i, (axis, _, _) in enumerate(joint.turns, start=turn):
+                    axes[i] = frame[axis]
+                    _rotate(frame, axis, sine[i], cosine[i])
+            turn = last
             frames[joint.name], origin_of[joint.name] = frame, origin
         points = np.empty((len(self.points), 3, n_frames))
         for i, name in enumerate(self.points):
@@ -189,17 +202,41 @@ class Tree:
         axes *= self._turn_factor[:, None, None]
         return Posture(points, axes, origins, frames)
 
-    def differentiate(self, posture: Posture) -> Array:
-        """Compute the derivatives of the points by the angles; shape (P, 3, 29, T), m/rad."""
-        axis = posture.axes[self._pair_turn]
-        arm = posture.points[self._pair_point] - posture.origins[self._pair_turn]
-        jacobian = np.zeros((len(self.points), 3, ANGLE_COUNT, posture.points.shape[2]))
-        variable = self._turn_variable[self._pair_turn]
+    @staticmethod
+    def _vector(joint: _Joint, angles: Array) -> Array:
+        vector = np.empty((3, angles.shape[1]))
+        for axis, factor, name in joint.turns:
+            vector[axis] = factor * angles[column(name)]
+        return vector
+
+    @staticmethod
+    def _vector_axes(joint: _Joint, frame: Array, vector: Array) -> Array:
+        slope = compute_slope(vector)[:, [axis for axis, _, _ in joint.turns]]
+        return np.asarray(np.einsum("ikt,ict->kct", slope, frame))
+
+    def differentiate(
+        self, posture: Posture, variables: Sequence[int] = tuple(range(ANGLE_COUNT))
+    ) -> Array:
+        """Compute the derivatives of the points by the angles at these places of a pose vector.
+
+        Returns
+        -------
+        Array
+            Shape (P, 3, len(variables), T), metres per radian.
+        """
+        place = np.full(ANGLE_COUNT, -1)
+        place[list(variables)] = np.arange(len(variables))
+        column_of = place[self._turn_variable[self._pair_turn]]
+        is_wanted = column_of >= 0
+        point, turn, to = (
+            index[is_wanted] for index in (self._pair_point, self._pair_turn, column_of)
+        )
+        axis = posture.axes[turn]
+        arm = posture.points[point] - posture.origins[turn]
+        jacobian = np.zeros((len(self.points), 3, len(variables), posture.points.shape[2]))
         for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
             # A point has every variable at most once among its ancestors: nothing is added up.
-            jacobian[self._pair_point, i, variable] = (
-                axis[:, j] * arm[:, k] - axis[:, k] * arm[:, j]
-            )
+            jacobian[point, i, to] = axis[:, j] * arm[:, k] - axis[:, k] * arm[:, j]
         return jacobian
 
     def differentiate_lengths(self, posture: Posture, names: Sequence[str]) -> Array:
@@ -272,7 +309,7 @@ def compute_jacobian(values: ArrayLike, lengths: SegmentLengths) -> Array:
     angles = np.zeros((ANGLE_COUNT, flat.shape[1]))
     angles[: len(VARIABLES) - 1] = flat[1:]
     posture = _PAPER_TREE.place(angles, lengths.as_dict())
-    by_angle = _PAPER_TREE.differentiate(posture)[:, :, : len(VARIABLES) - 1] * flat[0]
+    by_angle = _PAPER_TREE.differentiate(posture, range(len(VARIABLES) - 1)) * flat[0]
     jacobian = np.concatenate([posture.points[:, :, None], by_angle], axis=2)
     rows = jacobian.reshape(-1, len(VARIABLES), flat.shape[1])
     return np.moveaxis(rows, -1, 0).reshape(*given.shape[:-1], -1, len(VARIABLES))

@@ -417,7 +417,7 @@ def test_one_target_serves_many_candidates():
 def track_of(values: np.ndarray, lengths: SegmentLengths, skeleton: str = "h36m_17") -> PoseTrack:
     keypoints = get_skeleton(skeleton).keypoints
     position = np.full((len(values), len(keypoints), 3), np.nan)
-    world = to_world_axes(compute_joints(values, lengths)) + [0.3, 0.9, -0.2]
+    world = to_world_axes(compute_joints(values, lengths)) + np.array([0.3, 0.9, -0.2])
     for i, name in enumerate(FITTED_JOINTS):
         position[:, keypoints.index(name)] = world[:, i]
     return PoseTrack(np.arange(len(values)) / 30, position, "m", "world", skeleton)
