@@ -392,6 +392,57 @@ def export(
     typer.echo(f"Written: {export_result(result_dir, format_, out)}")
 
 
+@app.command(short_help="Compare results with reference recordings.")
+@_one_sentence
+def validate(
+    result_dirs: Annotated[
+        list[Path], typer.Argument(metavar="RESULT_DIR...", help="One or more result folders.")
+    ],
+    reference: Annotated[
+        list[Path],
+        typer.Option(help="TRC, C3D, MOT, STO or CSV file; once per result, in the same order."),
+    ],
+    profile: Annotated[
+        Path | None, typer.Option(help="Import profile (TOML): what the recordings mean.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write; by default RESULT_DIR_agreement.")
+    ] = None,
+    offset: Annotated[
+        str,
+        typer.Option(
+            help="Constant differences: remove, keep, or auto (remove for recorded angles)."
+        ),
+    ] = "auto",
+    max_lag: Annotated[
+        float | None, _number_option("Largest shift in time to try, in s; by default any.")
+    ] = None,
+    save_profile: Annotated[
+        Path | None, typer.Option(help="Write what was detected as an import profile.")
+    ] = None,
+    quiet: Quiet = None,
+    debug: Debug = False,
+) -> None:
+    """Compare results with reference recordings, such as those of a motion laboratory.
+
+    Writes agreement.json, tables (CSV), figures (PNG) and a one-page summary (HTML). Several
+    results are pooled by person and by task (the job named when the video was assessed).
+    """
+    from engine.cli_validate import ValidateRequest, run_validate
+
+    request = ValidateRequest(
+        results=tuple(result_dirs),
+        references=tuple(reference),
+        profile=profile,
+        out=out,
+        offset=offset,
+        max_lag_s=max_lag,
+        save_profile=save_profile,
+        is_quiet=bool(quiet),
+    )
+    run_validate(request, say=typer.echo, warn=lambda line: typer.echo(line, err=True))
+
+
 @app.command()
 @_one_sentence
 def serve(
