@@ -41,8 +41,11 @@ class LineCost(Protocol):
     """The cost of a batch of points, asked for along one variable at a time.
 
     uDEAS never changes two variables at once; a cost that knows what depends on which variable
-    can answer far faster than one that starts from the whole point.
+    can answer far faster than one that starts from the whole point. `look_ahead` is the number of
+    steps in a row that it answers faster together than one by one, though some be in vain.
     """
+
+    look_ahead: int
 
     def place(self, values: Array) -> None:
         """Put every search at its point, shape (B, n)."""
@@ -62,6 +65,8 @@ class FunctionCost:
     evaluate
         Takes points (b, n) and the number of the search each belongs to (b,); returns costs (b,).
     """
+
+    look_ahead = 1
 
     def __init__(self, evaluate: Callable[[Array, Rows], Array]) -> None:
         self._evaluate = evaluate
@@ -93,7 +98,7 @@ class SearchResult:
     """Where the searches of a batch ended.
 
     `values` (B, n), `cost` (B,), `codes` (B, n) of `last_bits` bits, `n_evaluations` (B,):
-    how often the cost of each search was asked for.
+    how many costs each search needed (not counting those asked for in vain by `look_ahead`).
     """
 
     values: Array
@@ -244,31 +249,40 @@ class _Searches:
         pair = line(low + step * np.stack([zero, zero + 1]), _ALL)
         goes_up = pair[1] < pair[0]
         code, cost = zero + goes_up, np.where(goes_up, pair[1], pair[0])
-        fall, evaluations = np.abs(pair[1] - pair[0]), np.full(len(code), 2)
+        difference = np.abs(pair[1] - pair[0])
 
+        first_code, first_cost = code.copy(), cost.copy()
+        room = np.where(goes_up, last - code, code)
         direction = np.where(goes_up, 1, -1)
-        following, successes = np.arange(len(code)), np.zeros(len(code))
-        while True:
-            following = following[
-                np.where(goes_up[following], code[following] < last, code[following] > 0)
-            ]
-            if not following.size:
-                break
-            tried = code[following] + direction[following]
+        following, width = np.flatnonzero(room > 0), 1
+        while following.size:
+            ahead = np.arange(1, width + 1)[:, None]
+            tried = code[following] + direction[following] * ahead
             found = line(low[following] + step[following] * tried, following)
-            evaluations[following] += 1
-            improves = found < cost[following]
-            following, found = following[improves], found[improves]
-            fall[following] += cost[following] - found
-            successes[following] += 1
-            code[following], cost[following] = tried[improves], found
+            n_better = _count_falls(cost[following], found, room[following])
+            won = n_better > 0
+            moved, n_moved = following[won], n_better[won]
+            cost[moved] = found[n_moved - 1, np.flatnonzero(won)]
+            code[moved] += direction[moved] * n_moved
+            room[moved] -= n_moved
+            following = following[(n_better == width) & (room[following] > 0)]
+            width = min(2 * width, self._cost_along.look_ahead)
 
         self.codes[rows, variable], self.cost[rows] = code, cost
-        self.n_evaluations[rows] += evaluations
+        successes = np.abs(code - first_code)
+        self.n_evaluations[rows] += 2 + successes + (room > 0)
         self._cost_along.move(variable, rows, low + step * code)
-        # Eq 6; every step has the same width. A variable without a range can't change the cost.
-        width = np.where(step > 0, step, np.inf) * (successes + 1)
-        return np.asarray(fall / width)
+        # Eq 6; all steps are equally wide, and those of UDS all go down, so that their sum is
+        # the whole fall. A variable without a range can't change the cost.
+        fall = difference + np.where(successes > 0, first_cost - cost, 0.0)
+        return np.asarray(fall / (np.where(step > 0, step, np.inf) * (successes + 1)))
+
+
+def _count_falls(cost: Array, found: Array, room: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Count how many of the steps in a row, shape (w, b), each lower the cost further."""
+    before = np.concatenate([cost[None], found[:-1]])
+    falls = (found < before) & (np.arange(len(found))[:, None] < room)
+    return np.asarray(np.logical_and.accumulate(falls, axis=0).sum(axis=0))
 
 
 def _group(variables: NDArray[np.intp]) -> Iterator[tuple[int, Rows]]:
