@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -203,19 +204,31 @@ def _shares(mean: Array, curves: Array) -> Array:
 def _largest_shares(curves: Array, n_flips: int, seed: int, *, is_exact: bool) -> Array:
     """Return the largest share over the nodes for every flip; the first flip is none at all."""
     n = curves.shape[0]
-    count = 2**n if is_exact else n_flips
-    generator = np.random.default_rng(seed)
+    flips = _all_flips(n) if is_exact else _random_flips(n, n_flips, seed)
     scaled = curves / (n * np.sqrt(np.square(curves).mean(axis=0)))
     largest = []
-    for start in range(0, count, _CHUNK):
-        index = np.arange(start, min(start + _CHUNK, count))
-        if is_exact:
-            flips = 1.0 - 2.0 * ((index[:, None] >> np.arange(n)) & 1)
-        else:
-            flips = 1.0 - 2.0 * generator.integers(0, 2, size=(index.size, n))
-            flips[index == 0] = 1.0
-        largest.append(np.square(np.abs(flips @ scaled).max(axis=1)))
-    return np.concatenate(largest)
+    for start in range(0, len(flips), _CHUNK):
+        product = flips[start : start + _CHUNK] @ scaled
+        largest.append(np.abs(product, out=product).max(axis=1))
+    return np.asarray(np.square(np.concatenate(largest)))
+
+
+@lru_cache(maxsize=4)
+def _all_flips(n: int) -> Array:
+    """Return every combination of n signs, shape (2^n, n)."""
+    flips = np.asarray(1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1), float)
+    flips.setflags(write=False)
+    return flips
+
+
+@lru_cache(maxsize=4)
+def _random_flips(n: int, n_flips: int, seed: int) -> Array:
+    """Return random signs, shape (n_flips, n); the same for every angle of a study."""
+    heads = np.random.default_rng(seed).integers(0, 2, size=(n_flips, n))
+    flips = np.asarray(1.0 - 2.0 * heads, float)
+    flips[0] = 1.0
+    flips.setflags(write=False)
+    return flips
 
 
 def _p_values(observed: Array, largest: Array) -> Array:

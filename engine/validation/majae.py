@@ -14,6 +14,7 @@ from engine.datatypes import Array
 from engine.errors import ConfigError, DataError, ShapeError
 from engine.validation.curves import angle_difference
 from engine.validation.statistics import (
+    MIN_CLUSTERS,
     N_RESAMPLES,
     UNKNOWN,
     Interval,
@@ -251,7 +252,7 @@ def compute_improvement(
     Returns
     -------
     Improvement
-        Positive where the correction helps; intervals NaN with fewer than two clusters.
+        Positive where the correction helps; intervals NaN with fewer than `MIN_CLUSTERS` clusters.
 
     Raises
     ------
@@ -273,7 +274,7 @@ def compute_improvement(
     _, codes = np.unique(codes, return_inverse=True)
     k = int(codes.max()) + 1 if codes.size else 0
     of_rows, of_mean = UNKNOWN, UNKNOWN
-    if k > 1:
+    if k >= MIN_CLUSTERS:
         drawn = resampling_counts(k, n_resamples=n_resamples, seed=seed)
         sizes, gains, befores, afters = (
             drawn @ np.bincount(codes, weights=w, minlength=k)

@@ -258,7 +258,7 @@ def compare_poses(
         n_velocities=speed.size,
         pck_percent=_percent_within(found, np.array([pck_threshold_mm])),
         auc_percent=_percent_within(found, steps),
-        joints=tuple(_joint_error(name, distance[known[:, k], k]) for k, name in enumerate(names)),
+        joints=_joint_errors(names, distance, known),
         pck_threshold_mm=pck_threshold_mm,
     )
 
@@ -269,15 +269,24 @@ def _row_means(distance: Array, known: NDArray[np.bool_]) -> Array:
     return np.asarray(total[count > 0] / count[count > 0])
 
 
-def _joint_error(name: str, distance: Array) -> JointError:
-    return JointError(
-        name=name,
-        n_samples=distance.size,
-        mean_mm=_mean(distance),
-        sd_mm=_sd(distance),
-        rmse_mm=math.sqrt(_mean(distance**2)),
-        max_mm=float(distance.max()) if distance.size else math.nan,
+def _joint_errors(
+    names: Sequence[str], distance: Array, known: NDArray[np.bool_]
+) -> tuple[JointError, ...]:
+    count = known.sum(axis=0)
+    n = np.where(count > 0, count, np.nan)
+    found = np.where(known, distance, 0.0)
+    mean = found.sum(axis=0) / n
+    squares = np.where(known, (distance - mean) ** 2, 0.0).sum(axis=0)
+    columns = np.column_stack(
+        [
+            mean,
+            np.sqrt(squares / np.where(count > 1, count - 1, np.nan)),
+            np.sqrt(np.square(found).sum(axis=0) / n),
+            np.where(count > 0, found.max(axis=0, initial=0.0), np.nan),
+        ]
     )
+    rows = zip(names, count.tolist(), columns.tolist(), strict=True)
+    return tuple(JointError(name, size, *figures) for name, size, figures in rows)
 
 
 def _percent_within(distance: Array, thresholds: Array) -> float:

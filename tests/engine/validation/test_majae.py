@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from engine.errors import ConfigError, DataError, ShapeError
 from engine.validation.majae import (
@@ -101,20 +102,21 @@ def test_both_ways_of_averaging_differ_as_in_the_paper():
 
 def test_intervals_agree_with_brute_force_resampling():
     rng = np.random.default_rng(1)
-    before, clusters = rng.uniform(10, 30, 12), np.repeat(np.arange(4), 3)
+    before, clusters = rng.uniform(10, 30, 12), np.repeat(np.arange(6), 2)
     after = before * rng.uniform(0.5, 1.1, 12)
     found = compute_improvement(before, after, clusters=clusters, n_resamples=4000)
     drawn = [
-        np.concatenate([np.flatnonzero(clusters == g) for g in rng.integers(0, 4, 4)])
+        np.concatenate([np.flatnonzero(clusters == g) for g in rng.integers(0, 6, 6)])
         for _ in range(4000)
     ]
     rows = np.array([np.mean(100 * (1 - after[i] / before[i])) for i in drawn])
     whole = np.array([100 * (1 - after[i].sum() / before[i].sum()) for i in drawn])
-    # Widened percentiles for four clusters: those of t at sqrt(4/3) times its quantile.
-    tails = [0.000119, 1 - 0.000119]
+    # Hesterberg's widened percentiles for six clusters.
+    tail = stats.norm.cdf(np.sqrt(6 / 5) * stats.t.ppf(0.025, 5))
+    tails = [tail, 1 - tail]
     assert found.mean_of_rows_interval == pytest.approx(tuple(np.quantile(rows, tails)), abs=1.5)
     assert found.of_mean_interval == pytest.approx(tuple(np.quantile(whole, tails)), abs=1.5)
-    assert (found.n_rows, found.n_clusters) == (12, 4)
+    assert (found.n_rows, found.n_clusters) == (12, 6)
     assert found.n_worse == np.sum(after > before)
 
 
@@ -133,6 +135,8 @@ def test_missing_rows_and_single_rows():
     assert found.n_rows == 1
     assert found.of_mean_percent == pytest.approx(50)
     assert not found.of_mean_interval.is_known
+    four = compute_improvement([10.0] * 8, np.arange(8.0), clusters="aabbccdd")
+    assert not four.of_mean_interval.is_known
     assert math.isnan(compute_improvement([], []).of_mean_percent)
 
 

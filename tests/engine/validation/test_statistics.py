@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
+from scipy.ndimage import gaussian_filter1d
 from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.weightstats import DescrStatsW
 
@@ -21,6 +22,7 @@ from engine.validation.statistics import (
     effective_sample_size,
     group_codes,
     lag_one_correlation,
+    lag_one_sample_size,
     mean_per_cluster,
     resampling_counts,
 )
@@ -87,22 +89,54 @@ def test_an_impossible_level_is_refused():
 # --------------------------------------------------------------------------- dependence
 
 
+def smooth(n, length, seed=0):
+    """Noise smoothed by a Gaussian, as filtered keypoints are smooth; `length` in frames."""
+    rng = np.random.default_rng(seed)
+    margin = 10 * length
+    return gaussian_filter1d(rng.normal(size=n + 2 * margin), length / math.sqrt(2))[margin:-margin]
+
+
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9, 0.98])
-def test_effective_sample_size_of_an_autoregressive_sequence(correlation):
+@pytest.mark.parametrize("function", [effective_sample_size, lag_one_sample_size])
+def test_effective_sample_size_of_an_autoregressive_sequence(function, correlation):
     n = 20_000
     expected = n * (1 - correlation) / (1 + correlation)
-    found = effective_sample_size(autoregressive(n, correlation))
-    assert found == pytest.approx(expected, rel=0.2)
+    assert function(autoregressive(n, correlation)) == pytest.approx(expected, rel=0.25)
 
 
-def test_effective_sample_size_predicts_the_scatter_of_means():
+@pytest.mark.parametrize("length", [5, 20])
+def test_effective_sample_size_of_a_smooth_sequence(length):
+    """Correlation exp(-k^2 / (2 L^2)) sums to L sqrt(2 pi); the lag-one formula is far off."""
+    n = 40_000
+    expected = n / (length * math.sqrt(2 * math.pi))
+    assert effective_sample_size(smooth(n, length)) == pytest.approx(expected, rel=0.15)
+    assert lag_one_sample_size(smooth(n, length)) < 0.3 * expected
+
+
+@pytest.mark.parametrize("make", [autoregressive, smooth])
+def test_effective_sample_size_predicts_the_scatter_of_means(make):
     """What the number is for: the variance of the mean is sd^2 / n_effective."""
-    means, worth = [], []
-    for seed in range(300):
-        sequence = autoregressive(600, 0.9, seed)
-        means.append(sequence.mean())
-        worth.append(effective_sample_size(sequence))
-    assert 1 / np.var(means) == pytest.approx(np.mean(worth), rel=0.2)
+    sequences = [make(900, 0.9 if make is autoregressive else 15, seed) for seed in range(300)]
+    true = np.mean([s.var() for s in sequences]) / np.var([s.mean() for s in sequences])
+    found = np.median([effective_sample_size(s) for s in sequences])
+    assert found == pytest.approx(true, rel=0.3)
+
+
+def test_effective_sample_size_with_gaps():
+    """Every second frame of a slow sequence missing: hardly a loss. A half missing: a half lost."""
+    sequence = smooth(40_000, 20)
+    whole = effective_sample_size(sequence)
+    alternate, half = sequence.copy(), sequence.copy()
+    alternate[::2] = np.nan
+    half[20_000:] = np.nan
+    assert effective_sample_size(alternate) == pytest.approx(whole, rel=0.1)
+    assert effective_sample_size(half) == pytest.approx(whole / 2, rel=0.2)
+
+
+def test_effective_sample_size_does_not_depend_on_the_frame_rate():
+    sequence = smooth(40_000, 40)
+    slow = effective_sample_size(sequence[::4])
+    assert slow == pytest.approx(effective_sample_size(sequence), rel=0.05)
 
 
 def test_lag_one_correlation_ignores_pairs_across_gaps():
@@ -121,22 +155,24 @@ def test_lag_one_correlation_ignores_pairs_across_gaps():
 )
 def test_effective_sample_size_at_its_limits(sequence, expected):
     assert effective_sample_size(sequence) == expected
+    assert lag_one_sample_size(sequence) == expected
 
 
 @given(arrays(float, st.integers(4, 60), elements=st.floats(-50, 50)))
 def test_effective_sample_size_lies_between_one_and_n(sequence):
     assert 1.0 <= effective_sample_size(sequence) <= sequence.size
+    assert 1.0 <= lag_one_sample_size(sequence) <= sequence.size
 
 
 def test_frame_test_keeps_its_level_only_with_the_correction():
     """Without any true difference 5 % of tests should find one; naive ones find far more."""
     naive = corrected = 0
-    for seed in range(200):
-        test = compute_frame_t_test([autoregressive(300, 0.9, seed)])
+    for seed in range(400):
+        test = compute_frame_t_test([autoregressive(600, 0.9, seed)])
         naive += test.naive.p < 0.05
         corrected += test.corrected.p < 0.05
-    assert naive / 200 > 0.4
-    assert corrected / 200 < 0.11
+    assert naive / 400 > 0.4
+    assert 0.02 < corrected / 400 < 0.11
 
 
 def test_frame_test_sums_over_trials_and_warns():
@@ -147,6 +183,7 @@ def test_frame_test_sums_over_trials_and_warns():
     worth = sum(effective_sample_size(s) for s in series)
     assert test.corrected.n_effective == pytest.approx(worth)
     assert test.corrected.mean == test.naive.mean
+    assert test.n_lag_one == pytest.approx(sum(lag_one_sample_size(s) for s in series))
     assert test.warning == DEPENDENCE_WARNING
 
 
@@ -176,6 +213,7 @@ def test_equivalence_is_the_90_percent_interval_inside_the_margin(values):
 def test_equivalence_of_one_constant_offset_is_a_limit():
     assert compute_equivalence([3.0, 3.0, 3.0], margin=5.0).p == 0.0
     assert compute_equivalence([6.0, 6.0, 6.0], margin=5.0).p == 1.0
+    assert compute_equivalence([5.0, 5.0], margin=5.0).p == 0.5
 
 
 def test_equivalence_needs_two_values_and_a_margin():
@@ -272,11 +310,13 @@ def test_bootstrap_weighting_by_cluster_counts_every_cluster_the_same():
     assert bootstrap_clusters(values, clusters, weighting="cluster").estimate == pytest.approx(5.0)
 
 
-def test_bootstrap_of_one_cluster_has_no_interval():
+def test_bootstrap_of_few_clusters_has_no_interval():
+    """Resampling three clusters can't tell how other three would scatter."""
     result = bootstrap_clusters([1.0, 2.0, np.nan], "aab")
-    assert result.estimate == 1.5
-    assert result.n_clusters == 1
+    assert (result.estimate, result.n_clusters) == (1.5, 1)
     assert not result.interval.is_known
+    assert not bootstrap_clusters(np.arange(8.0), "aabbccdd").interval.is_known
+    assert bootstrap_clusters(np.arange(10.0), "aabbccddee").interval.is_known
 
 
 @given(
