@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
+import shutil
 import tomllib
 import zipfile
 from dataclasses import dataclass
@@ -13,15 +15,27 @@ from typing import IO, Any
 import streamlit as st
 
 from engine.datatypes import JointAngles, ViewInfo
-from engine.errors import DataError
+from engine.errors import DataError, EngineError
 from engine.jobs.local import JobQueue
 from engine.kinematics.fitting import geometric
+from engine.storage.atomic import write_aside
 from engine.storage.library import Library
 from engine.storage.results import RESULT_FILES, StoredResult, read_result
+from engine.validate import compare_results
+from engine.validation.outcome import render_outcome
+from engine.validation.pooled import Agreement
+from engine.validation.profiles import ImportProfile, format_profile, read_profile
+from engine.validation.reference.base import Reference
+from engine.validation.reference.files import describe_profile, read_reference
+from engine.version import __version__
 from engine.video.reader import probe_video
 
 SAMPLES_FILE = Path(__file__).parents[1] / "sample_data" / "samples.toml"
 CHUNK_BYTES = 1 << 20
+REFERENCE_FOLDER = "reference"
+"""Inside a trial's folder, so that it is deleted with the trial."""
+PROFILE_NAME = "profile.toml"
+SAMPLE_MARKERS = "markers.trc"
 
 
 @dataclass(frozen=True)
@@ -150,3 +164,129 @@ def video_facts(path: Path) -> ViewInfo:
         If it is no usable video.
     """
     return probe_video(path)
+
+
+# --------------------------------------------------------------------------- reference recordings
+
+
+def reference_file(trial_id: str) -> Path | None:
+    """Return the recording kept with a trial; None if there is none."""
+    folder = library().folder(trial_id) / REFERENCE_FOLDER
+    if not folder.is_dir():
+        return None
+    kept = (p for p in sorted(folder.iterdir()) if not p.name.startswith("."))
+    return next((path for path in kept if path.name != PROFILE_NAME), None)
+
+
+def save_reference(trial_id: str, name: str, source: IO[bytes]) -> None:
+    """Keep a recording with a trial, in the place of an earlier one."""
+    remove_reference(trial_id)
+    target = library().folder(trial_id) / REFERENCE_FOLDER / sanitise_name(name)
+    target.parent.mkdir()
+    with write_aside(target) as aside, aside.open("wb") as file:
+        shutil.copyfileobj(source, file, CHUNK_BYTES)
+
+
+def remove_reference(trial_id: str) -> None:
+    """Delete the recording of a trial, with its profile."""
+    shutil.rmtree(library().folder(trial_id) / REFERENCE_FOLDER, ignore_errors=True)
+
+
+def reference_profile(trial_id: str) -> ImportProfile | None:
+    """Return what a user confirmed or corrected about the recording."""
+    path = library().folder(trial_id) / REFERENCE_FOLDER / PROFILE_NAME
+    return read_profile(path) if path.exists() else None
+
+
+def save_reference_profile(trial_id: str, profile: ImportProfile | None) -> None:
+    """Keep what a user confirmed; None forgets it."""
+    path = library().folder(trial_id) / REFERENCE_FOLDER / PROFILE_NAME
+    if profile is None:
+        path.unlink(missing_ok=True)
+        return
+    with write_aside(path) as aside:
+        aside.write_text(format_profile(profile), encoding="utf-8")
+
+
+def reference_profile_text(trial_id: str) -> str:
+    """Return an import profile of the recording, as TOML."""
+    return format_profile(describe_profile(reference(trial_id)))
+
+
+def reference(trial_id: str) -> Reference:
+    """Return the recording of a trial, understood.
+
+    Raises
+    ------
+    DataError
+        If there is none, or it can't be used.
+    """
+    path = reference_file(trial_id)
+    if path is None:
+        raise DataError("No reference recording is kept with this trial; add one.")
+    return _read_reference(str(path), _reference_stamp(path))
+
+
+def is_reference_readable(trial_id: str) -> bool:
+    """Whether the recording of a trial can be understood."""
+    try:
+        reference(trial_id)
+    except EngineError:
+        return False
+    return True
+
+
+def _reference_stamp(path: Path) -> tuple[int, int]:
+    """Return what changes when the recording or its profile does."""
+    profile = path.with_name(PROFILE_NAME)
+    return path.stat().st_mtime_ns, profile.stat().st_mtime_ns if profile.exists() else 0
+
+
+@st.cache_resource(max_entries=8, show_spinner=False)
+def _read_reference(path: str, stamp: tuple[int, int]) -> Reference:
+    profile = Path(path).with_name(PROFILE_NAME)
+    return read_reference(Path(path), read_profile(profile) if profile.exists() else None)
+
+
+def agreement(trial_id: str) -> Agreement:
+    """Return the comparison of a trial with the recording kept with it.
+
+    Raises
+    ------
+    EngineError
+        If the recording can't be used, or does not fit the trial.
+    """
+    path = reference_file(trial_id)
+    if path is None:
+        raise DataError("No reference recording is kept with this trial; add one.")
+    stamp = (library().folder(trial_id) / "trial.json").stat().st_mtime_ns
+    return _compare(trial_id, str(path), (stamp, *_reference_stamp(path)))
+
+
+@st.cache_resource(max_entries=8, show_spinner=False)
+def _compare(trial_id: str, path: str, stamp: tuple[int, ...]) -> Agreement:
+    return compare_results([(result(trial_id), reference(trial_id))])
+
+
+def zip_agreement(trial_id: str) -> bytes:
+    """Return everything that `liftlens validate` writes, as a zip file."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in render_outcome(agreement(trial_id), version=__version__).items():
+            archive.writestr(f"{trial_id}_agreement/{name}", content)
+    return buffer.getvalue()
+
+
+def sample_reference(trial_id: str) -> Path | None:
+    """Return the bundled markers of a bundled lift; None for any other trial."""
+    filmed = {view["sha256"] for view in result(trial_id).document["views"]}
+    for sample in samples():
+        markers = sample.path.with_name(SAMPLE_MARKERS)
+        if markers.exists() and _sample_hash(str(sample.path)) in filmed:
+            return markers
+    return None
+
+
+@st.cache_data(show_spinner=False)
+def _sample_hash(path: str) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()

@@ -305,3 +305,69 @@ def name_view(azimuth_deg: float) -> str:
         "the back",
     )
     return f"{words[round(abs(turned) / 45)]} ({abs(turned):.0f}° from straight ahead)"
+
+
+# --------------------------------------------------------------------------- reference recordings
+
+AXES: dict[tuple[str, str, str], str] = {
+    ("x", "y", "z"): "(Y up)",
+    ("z", "y", "-x"): "(Y up)",
+    ("-x", "y", "-z"): "(Y up)",
+    ("-z", "y", "x"): "(Y up)",
+    ("x", "z", "-y"): "(Z up)",
+    ("y", "z", "x"): "(Z up)",
+    ("-x", "z", "y"): "(Z up)",
+    ("-y", "z", "-x"): "(Z up)",
+}
+"""Usual axes of laboratories: those that point to the subject's front, up, and right."""
+
+ANGLE_SOURCES = {
+    "computed": (
+        "computed from the markers' joint centres by the solver of the video ({solver}): the same "
+        "definitions on both sides"
+    ),
+    "recorded": "as the recording has them, signs converted; definitions may differ",
+}
+
+POSITION_ALIGNMENTS = {
+    "none": "after one rigid move of the whole trial",
+    "root": "with both mid-hips on each other in every frame (MPJPE)",
+    "procrustes": "moved, turned and scaled in every frame (PA-MPJPE)",
+}
+
+MAIN_STATISTICS = (
+    ("Angle", ""),
+    ("Mean difference", "Bias: mean of video minus reference over all frames."),
+    ("Mean absolute", "Mean absolute error (MAE)."),
+    ("RMSE", "Root mean square error: large errors count more."),
+    ("without offset", "Centred RMSE: what is left after the constant difference is taken out."),
+    ("Limits of agreement", "Bland-Altman: about 95 % of the frames differ by this much."),
+    ("95 % within", "The difference that 95 % of the frames do not exceed."),
+    ("Frames", "Frames in which both exist."),
+    ("worth", "Effective sample size: neighbouring frames are near-copies of each other."),
+)
+
+CURVE_STATISTICS = (
+    ("Angle", ""),
+    ("r", "Correlation of both curves; blind to a constant difference and to scale."),
+    ("CMC", "Coefficient of multiple correlation (Ferrari); none where the angle hardly moves."),
+    ("LFM slope · R²", "Linear fit of the video on the reference."),
+    ("Largest", "Largest absolute difference."),
+    ("ROM error", "Range of motion of the video minus that of the reference."),
+    ("Peak error", "Highest value of the video minus that of the reference."),
+    ("Peak later by", "Time of the video's peak minus that of the reference."),
+    ("of excursion", "Mean absolute error as a share of the reference's range of motion."),
+    ("Slope of error", "Proportional bias: change of the difference per degree."),
+)
+
+TEST_STATISTICS = (
+    ("Angle", ""),
+    ("Mean difference, 95 %", "Interval of the bias by resampling persons or trials."),
+    ("t-test p", "Paired t-test on the mean of each person or trial."),
+    ("p, Holm", "The same, adjusted for the number of angles."),
+    ("p on frames", "Paired t-test on frames with the effective sample size."),
+    ("Equivalence p, 2° · 5°", "Two one-sided tests: small p shows agreement within the margin."),
+    ("ICC(2,1)", "Intraclass correlation of the range of motion over trials."),
+    ("MDC", "Minimal detectable change of the range of motion."),
+    ("Curve test p", "Sign-flip permutation test of whole curves."),
+)

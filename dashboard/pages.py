@@ -8,6 +8,7 @@ from streamlit.navigation.page import Page
 TRIALS = "views/trials.py"
 NEW_ASSESSMENT = "views/new_assessment.py"
 TRIAL = "views/trial.py"
+REFERENCE = "views/reference.py"
 
 
 def build() -> list[Page]:
@@ -15,5 +16,8 @@ def build() -> list[Page]:
     return [
         st.Page(TRIALS, title="Trials", icon=":material/list:", url_path="trials", default=True),
         st.Page(NEW_ASSESSMENT, title="New assessment", icon=":material/add:", url_path="new"),
+        st.Page(
+            REFERENCE, title="Reference", icon=":material/compare_arrows:", url_path="reference"
+        ),
         st.Page(TRIAL, title="Trial", url_path="trial", visibility="hidden"),
     ]

@@ -18,6 +18,7 @@ _DELETION = "deletion"
 _ROUND = "form_round"
 _TRIAL = "trial"
 _JOB = "job"
+_REFERENCE_ROUND = "reference_round"
 
 SAMPLE_KEY = "sample"
 SOURCE_KEY = "source"
@@ -41,6 +42,21 @@ class Upload:
 def trial_id() -> str | None:
     """Return the trial the address names."""
     return st.query_params.get(_TRIAL)
+
+
+def set_trial_id(identifier: str) -> None:
+    """Put a trial into the address, so that a reload shows it again."""
+    st.query_params[_TRIAL] = identifier
+
+
+def reference_upload_key() -> str:
+    """Return the widget key of the reference's upload; a new one shows it empty."""
+    return f"reference_upload_{st.session_state.get(_REFERENCE_ROUND, 0)}"
+
+
+def renew_reference_upload() -> None:
+    """Empty the upload of a reference, once its file was kept."""
+    st.session_state[_REFERENCE_ROUND] = st.session_state.get(_REFERENCE_ROUND, 0) + 1
 
 
 def trial_parameters(identifier: str) -> dict[str, str]:

@@ -18,7 +18,12 @@ from matplotlib.ticker import AutoLocator, MaxNLocator
 from engine.datatypes import Array
 from engine.validation.agreement import AngleSummary
 from engine.validation.compare import TrialComparison
-from engine.validation.pooled import Agreement, find_sides
+from engine.validation.pooled import (
+    Agreement,
+    bland_altman_points,
+    find_sides,
+    pooled_differences,
+)
 from engine.validation.wording import title_angle
 
 __all__ = [
@@ -34,8 +39,6 @@ RESULT, REFERENCE, DIFFERENCE = "#0072b2", "#c24e00", "#3d4b58"
 SIDES = ("#0072b2", "#c24e00")
 GRID = "#d6dee6"
 DPI = 110
-MAX_POINTS = 1500
-"""More dots than this only darken a scatter plot."""
 COLUMNS = 4
 Z95 = 1.96
 
@@ -217,13 +220,6 @@ def _name_rows(axes: Axes, summaries: Sequence[AngleSummary]) -> None:
     axes.invert_yaxis()
 
 
-def pooled_differences(trials: Sequence[TrialComparison], name: str) -> Array:
-    """Return the known differences of one angle in all frames of all trials, degrees."""
-    columns = [t.difference_deg[:, t.names.index(name)] for t in trials if name in t.names]
-    joined = np.concatenate(columns)
-    return np.asarray(joined[np.isfinite(joined)])
-
-
 # --------------------------------------------------------------------------- Bland and Altman
 
 
@@ -270,18 +266,3 @@ def _fit_height(axes: Axes, difference: Array, lower: float, upper: float) -> No
     high = max(float(difference.max()), upper)
     margin = 0.12 * (high - low) or 1.0
     axes.set_ylim(low - margin, high + margin)
-
-
-def bland_altman_points(trials: Sequence[TrialComparison], name: str) -> tuple[Array, Array]:
-    """Return mean and difference of both curves, shape (n,) each, thinned evenly."""
-    means, differences = [], []
-    for trial in trials:
-        if name in trial.names:
-            i = trial.names.index(name)
-            difference = trial.difference_deg[:, i]
-            means.append(trial.pairs.reference_deg[:, i] + difference / 2)
-            differences.append(difference)
-    mean, difference = np.concatenate(means), np.concatenate(differences)
-    known = np.isfinite(mean) & np.isfinite(difference)
-    step = -(-int(known.sum()) // MAX_POINTS) or 1
-    return np.asarray(mean[known][::step]), np.asarray(difference[known][::step])

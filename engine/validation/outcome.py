@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from engine.validation.compare import TrialComparison
-from engine.validation.figures import draw_figures
 from engine.validation.pooled import Agreement, describe_agreement, describe_offsets
 from engine.validation.statistics import DEPENDENCE_WARNING
 from engine.validation.summary import render_summary
@@ -50,6 +49,9 @@ def render_outcome(agreement: Agreement, *, version: str = "") -> dict[str, byte
     dict
         Path inside the folder to content.
     """
+    # Matplotlib takes a second to load, which only this needs.
+    from engine.validation.figures import draw_figures
+
     created = datetime.now(UTC).isoformat(timespec="seconds")
     document = build_agreement_document(agreement, version=version, created=created)
     figures = draw_figures(agreement)

@@ -10,6 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+import numpy as np
+
+from engine.datatypes import Array
 from engine.errors import DataError
 from engine.validation.agreement import AngleSummary, PairedTrial, summarise_agreement
 from engine.validation.bland_altman import BlandAltman
@@ -18,7 +21,15 @@ from engine.validation.curvewise import N_FLIPS
 from engine.validation.statistics import N_RESAMPLES, UNKNOWN, Interval
 from engine.validation.wording import describe_angle, title_angle
 
-__all__ = ["Agreement", "describe_agreement", "describe_offsets", "find_sides", "pool_trials"]
+__all__ = [
+    "Agreement",
+    "bland_altman_points",
+    "describe_agreement",
+    "describe_offsets",
+    "find_sides",
+    "pool_trials",
+    "pooled_differences",
+]
 
 MAIN_ANGLES = (
     "trunk_flexion",
@@ -38,6 +49,8 @@ SCOPES = (
 )
 """How the sentences of `engine.validation.wording` end."""
 FULL_TURN_DEG = 360.0
+MAX_POINTS = 1500
+"""More dots than this only darken a scatter plot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,3 +246,25 @@ def find_sides(agreement: Agreement) -> tuple[tuple[str, AngleSummary, AngleSumm
         for name, summary in known.items()
         if name.endswith("_l") and f"{name[:-2]}_r" in known
     )
+
+
+def pooled_differences(trials: Sequence[TrialComparison], name: str) -> Array:
+    """Return the known differences of one angle in all frames of all trials, degrees."""
+    columns = [t.difference_deg[:, t.names.index(name)] for t in trials if name in t.names]
+    joined = np.concatenate(columns)
+    return np.asarray(joined[np.isfinite(joined)])
+
+
+def bland_altman_points(trials: Sequence[TrialComparison], name: str) -> tuple[Array, Array]:
+    """Return mean and difference of both curves, shape (n,) each, thinned evenly."""
+    means, differences = [], []
+    for trial in trials:
+        if name in trial.names:
+            i = trial.names.index(name)
+            difference = trial.difference_deg[:, i]
+            means.append(trial.pairs.reference_deg[:, i] + difference / 2)
+            differences.append(difference)
+    mean, difference = np.concatenate(means), np.concatenate(differences)
+    known = np.isfinite(mean) & np.isfinite(difference)
+    step = -(-int(known.sum()) // MAX_POINTS) or 1
+    return np.asarray(mean[known][::step]), np.asarray(difference[known][::step])
