@@ -159,7 +159,8 @@ class CorrectionConfig:
     `preset` is `default`, `paper` (Choi et al. 2024) or `none`; gaps longer than `max_gap_s` stay
     missing. `smoother` names the filter and the others are its parameters: `cutoff_hz` that of
     the zero-lag `butterworth` after both passes; `window_s` of `savitzky_golay`, `median` and
-    `hampel`; `jerk` (m/s^2.5) of `kalman`; `min_cutoff_hz` and `beta` (Hz per m/s) of `one_euro`.
+    `hampel`; `jerk` (m/s^2.5) and `gate_probability` (1: none) of `kalman`; `min_cutoff_hz` and
+    `beta` (Hz per m/s) of `one_euro`.
     `repair_swaps` exchanges mixed-up sides back, `reject_outliers` tests link lengths.
     """
 
@@ -167,13 +168,14 @@ class CorrectionConfig:
     min_confidence: float = 0.3
     max_gap_s: float = 0.5
     smoother: Literal[
-        "butterworth", "kalman", "savitzky_golay", "median", "hampel", "one_euro", "none"
-    ] = "butterworth"
+        "kalman", "butterworth", "savitzky_golay", "median", "hampel", "one_euro", "none"
+    ] = "kalman"
     cutoff_hz: float = 6.0
     window_s: float = 0.3
-    jerk: float = 30.0
-    min_cutoff_hz: float = 1.0
-    beta: float = 0.5
+    jerk: float = 15.0
+    gate_probability: float = 1.0
+    min_cutoff_hz: float = 3.0
+    beta: float = 4.0
     repair_swaps: bool = True
     reject_outliers: bool = True
 
@@ -183,6 +185,7 @@ class CorrectionConfig:
         _require_between(0.1, 1000.0, cutoff_hz=self.cutoff_hz)
         _require_between(0.0, 60.0, window_s=self.window_s)
         _require_between(0.1, 10000.0, jerk=self.jerk)
+        _require_between(0.5, 1.0, gate_probability=self.gate_probability)
         _require_between(0.01, 1000.0, min_cutoff_hz=self.min_cutoff_hz)
         _require_between(0.0, 1000.0, beta=self.beta)
 

@@ -39,12 +39,13 @@ def correct_track(
     preset: Literal["default", "paper", "none"] = "default",
     min_confidence: float = 0.3,
     max_gap_s: float = 0.5,
-    smoother: str = "butterworth",
+    smoother: str = "kalman",
     cutoff_hz: float = 6.0,
     window_s: float = 0.3,
-    jerk: float = 30.0,
-    min_cutoff_hz: float = 1.0,
-    beta: float = 0.5,
+    jerk: float = 15.0,
+    gate_probability: float = 1.0,
+    min_cutoff_hz: float = 3.0,
+    beta: float = 4.0,
     repair_swaps: bool = True,
     reject_outliers: bool = True,
     stature_m: float | None = None,
@@ -67,13 +68,14 @@ def correct_track(
     max_gap_s
         Longest gap that is filled, s; `paper` fills any.
     smoother
-        `butterworth`, `kalman`, `savitzky_golay`, `median`, `hampel`, `one_euro` or `none`.
+        `kalman`, `butterworth`, `savitzky_golay`, `median`, `hampel`, `one_euro` or `none`.
     cutoff_hz
         Of `butterworth`: cut-off frequency after both passes, Hz.
     window_s
         Of `savitzky_golay`, `median` and `hampel`, s.
-    jerk
-        Of `kalman`: how lively people move, m/s^2.5.
+    jerk, gate_probability
+        Of `kalman`: how lively people move, m/s^2.5, and how likely a measurement must be to be
+        left out as an outlier of the motion (0.999 leaves out one in a thousand, 1 none).
     min_cutoff_hz, beta
         Of `one_euro`: cut-off at rest, Hz, and its rise with speed, Hz per m/s.
     repair_swaps, reject_outliers
@@ -105,6 +107,7 @@ def correct_track(
         cutoff_hz=cutoff_hz,
         window_s=window_s,
         jerk=jerk,
+        gate_probability=gate_probability,
         min_cutoff_hz=min_cutoff_hz,
         beta=beta,
     )
@@ -141,8 +144,8 @@ def _with_note(track: PoseTrack, preset: str, note: dict[str, Any]) -> PoseTrack
 def _choose_smoother(name: str, **settings: float) -> Smoother | KalmanSmoother:
     """Return the smoother of a name with those of the settings that it has."""
     kinds: dict[str, Any] = {
-        "butterworth": Butterworth,
         "kalman": KalmanSmoother,
+        "butterworth": Butterworth,
         "savitzky_golay": SavitzkyGolay,
         "median": Median,
         "hampel": Hampel,

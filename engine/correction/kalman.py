@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from engine.correction.robust import known_median
 from engine.datatypes import Array
 
 __all__ = ["KalmanSmoother", "SmoothedPath", "estimate_noise"]
@@ -22,6 +24,8 @@ LEAST_NOISE_M = 0.001
 """No camera resolves less; keeps the filter stable on exact data."""
 START_SPEED_M_S, START_ACCELERATION_M_S2 = 3.0, 30.0
 """SD of what is not known about a keypoint's motion when it is first seen."""
+ORDER = 5
+"""Of the differences that show the noise: movements of 4 Hz filmed at 30 frames/s hardly do."""
 FRAMES_AT_ONCE = 2000
 """Gains are made ready for so many frames together: fast, within bounded memory."""
 
@@ -55,7 +59,9 @@ class KalmanSmoother:
     jerk
         Spectral density of the jerk's square root, m/s^2.5: how lively people move.
     gate_probability
-        A measurement this unlikely to be that far off is left out; 1 leaves none out.
+        Measurements are left out that are further off than this share of all should be (0.999:
+        one in a thousand); 1 leaves none out, the default: once exchanged sides and misplaced
+        joints are gone, a gate rejects more sudden movements than faults.
     gate_floor_m
         No measurement nearer than this to its prediction is left out.
 
@@ -66,8 +72,8 @@ class KalmanSmoother:
        Navigation, ch. 6.
     """
 
-    jerk: float = 30.0
-    gate_probability: float = 0.999
+    jerk: float = 15.0
+    gate_probability: float = 1.0
     gate_floor_m: float = 0.10
 
     @property
@@ -101,8 +107,14 @@ class KalmanSmoother:
         noise = estimate_noise(position) ** 2 / trust**2
         columns = np.flatnonzero(seen)
         path = _Pass(time_s, position[:, columns], noise[:, columns], self.jerk**2)
-        path.filter(chi2.ppf(self.gate_probability, position.shape[2]), self.gate_floor_m)
+        gate = float(chi2.ppf(self.gate_probability, position.shape[2]))
+        path.filter(gate, self.gate_floor_m)
         smoothed, variance = path.smooth()
+        # The past alone can't tell a fault from a sudden movement; with the future it can.
+        is_right = path.is_gated & ~path.is_far(smoothed, variance, gate, self.gate_floor_m)
+        if is_right.any():
+            path.filter(gate, self.gate_floor_m, is_trusted=is_right)
+            smoothed, variance = path.smooth()
         result = np.full(position.shape, np.nan)
         sigma = np.full(present.shape, np.nan)
         gated = np.zeros(present.shape, dtype=bool)
@@ -112,7 +124,7 @@ class KalmanSmoother:
 
 
 def estimate_noise(position: Array) -> Array:
-    """Estimate the SD of each keypoint's noise from its third differences.
+    """Estimate the SD of each keypoint's noise from its fifth differences.
 
     They hold little of the motion, and the median ignores jumps. Noise that goes on from frame
     to frame (a slow wander) is not seen.
@@ -128,15 +140,14 @@ def estimate_noise(position: Array) -> Array:
         Shape (1, K), m, per coordinate, at least `LEAST_NOISE_M`.
     """
     noise = np.full((1, position.shape[1]), LEAST_NOISE_M)
-    if len(position) < 4:
+    if len(position) <= ORDER:
         return noise
-    # 1, 3, 3, 1 squared and added make 20; 0.6745 is the normal's upper quartile.
-    third = np.abs(np.diff(position, n=3, axis=0)) / (0.6745 * np.sqrt(20.0))
-    for k in range(position.shape[1]):
-        values = third[:, k][np.isfinite(third[:, k])]
-        if values.size:
-            noise[0, k] = max(LEAST_NOISE_M, float(np.median(values)))
-    return noise
+    # Binomial coefficients, squared and added; 0.6745 is the upper quartile of the normal.
+    gain = np.sqrt(comb(2 * ORDER, ORDER))
+    difference = np.abs(np.diff(position, n=ORDER, axis=0)) / (0.6745 * gain)
+    # The axes of a keypoint share one noise.
+    pooled = known_median(difference.transpose(0, 2, 1).reshape(-1, position.shape[1]))
+    return np.asarray(np.fmax(noise, pooled[None, :]))
 
 
 def _transition(step_s: Array) -> Array:
@@ -172,7 +183,16 @@ class _Pass:
         self.covariance = np.zeros((n_frames, n_points, 9))
         self.is_gated = np.zeros((n_frames, n_points), dtype=bool)
 
-    def filter(self, gate: float, floor_m: float) -> None:
+    def is_far(
+        self, position: Array, variance: Array, gate: float, floor_m: float
+    ) -> NDArray[np.bool_]:
+        """Return whether each measurement is too far from where it should be; shape (T, K)."""
+        square = np.nan_to_num(((self.measured - position) ** 2).sum(axis=2))
+        return np.asarray((square > gate * (variance + self.noise)) & (square > floor_m**2))
+
+    def filter(
+        self, gate: float, floor_m: float, is_trusted: NDArray[np.bool_] | None = None
+    ) -> None:
         """Run forward; `gate` is the squared distance in standard errors that is allowed."""
         n_frames, n_points, n_axes = self.shape
         present = np.asarray(np.isfinite(self.measured).all(axis=2))
@@ -182,6 +202,7 @@ class _Pass:
         start = (1.0, 0, 0, 0, START_SPEED_M_S**2, 0, 0, 0, START_ACCELERATION_M_S2**2)
         p = np.tile(np.array(start), (n_points, 1))
         values = np.where(present[:, :, None], self.measured, 0.0)
+        is_gate = present if is_trusted is None else present & ~is_trusted
         for t in range(n_frames):
             if t:
                 x = (self.move[t] @ x.reshape(3, -1)).reshape(3, n_points, n_axes)
@@ -189,7 +210,7 @@ class _Pass:
             innovation = values[t] - x[0]
             spread = p[:, 0] + self.noise[t]
             square = (innovation**2).sum(axis=1)
-            is_far = (square > gate * spread) & (square > floor_m**2) & present[t]
+            is_far = (square > gate * spread) & (square > floor_m**2) & is_gate[t]
             self.is_gated[t] = is_far
             gain = p[:, ::3] / spread[:, None] * (present[t] & ~is_far)[:, None]
             x = x + gain.T[:, :, None] * innovation

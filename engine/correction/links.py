@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.correction.robust import (
+    close_gaps,
     frame_interval_s,
+    known_median,
     last_known,
     mad_sigma,
     odd_window,
     running_median,
     runs_that_touch,
+    widen,
 )
 from engine.datatypes import Array, PoseTrack
 from engine.skeletons import BODY_SEGMENTS, Skeleton, get_skeleton
@@ -132,7 +135,7 @@ def measure_links(track: PoseTrack, *, stature_m: float | None = None) -> Links:
     seen = np.isfinite(length).any(axis=0)
     if not seen.any():
         return Links(names, ends, length, np.full(track.n_frames, np.nan))
-    usual = np.array([np.nanmedian(length[:, j]) if seen[j] else 0.0 for j in range(len(names))])
+    usual = np.nan_to_num(known_median(length))
     shares = np.array([_share(name) for name in names])
     stature_cm = 100.0 * (stature_m or ADULT_STATURE_M)
     if usual.sum() <= 0.0:
@@ -186,8 +189,7 @@ def find_edges(time_s: Array, length_cm: Array) -> EdgeTest:
     difference = length_cm - np.take_along_axis(length_cm, earlier, axis=0)
     change[usable] = difference[usable] / (30.0 * step_s[usable])
     size = np.abs(change)
-    n_links = length_cm.shape[1]
-    middle = np.array([_median(size[:, j]) for j in range(n_links)])
+    middle = np.nan_to_num(known_median(size))
     spread = np.nan_to_num(mad_sigma(size))
     is_unsteady = middle > HIGH_FLOOR_CM
     middle, spread = np.where(is_unsteady, 0.0, middle), np.where(is_unsteady, 0.0, spread)
@@ -195,11 +197,6 @@ def find_edges(time_s: Array, length_cm: Array) -> EdgeTest:
     low = np.maximum(LOW_FLOOR_CM, middle + LOW_SIGMAS * spread)
     size = np.nan_to_num(size)
     return EdgeTest(change, runs_that_touch(size > low, size > high), is_unsteady)
-
-
-def _median(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else 0.0
 
 
 def find_excursions(
@@ -221,16 +218,14 @@ def find_excursions(
     is_excursion
         Shape (T, J): further than max(3 cm, 4 robust SD) from the running median of 1 s over
         the other frames, in a run that a jump begins or ends. A slow change is no excursion.
+        Excursions less than three frames (at 30 frames/s) apart are one.
     level_cm
         Shape (T, J): that distance, signed.
     """
     interval_s = frame_interval_s(time_s)
     window = odd_window(BASELINE_S, interval_s)
     reach = max(1, round(1.0 / (30.0 * interval_s)))
-    near_edge = edges.is_edge.copy()
-    for shift in range(1, reach + 1):
-        near_edge[:-shift] |= edges.is_edge[shift:]
-        near_edge[shift:] |= edges.is_edge[:-shift]
+    near_edge = widen(edges.is_edge, reach)
     usual = np.array(length_cm)
     found = np.zeros(length_cm.shape, dtype=bool)
     level = np.full(length_cm.shape, np.nan)
@@ -239,6 +234,7 @@ def find_excursions(
         level = length_cm - running_median(usual, window)
         threshold = np.maximum(LEVEL_FLOOR_CM, LEVEL_SIGMAS * np.nan_to_num(mad_sigma(level)))
         found = runs_that_touch(np.nan_to_num(np.abs(level)) > threshold, near_edge)
+        found = close_gaps(found, 2 * reach)
         usual = np.where(found, np.nan, length_cm)
         # A link that is never right has no baseline of its own; keep the first one.
         never = ~np.isfinite(usual).any(axis=0)

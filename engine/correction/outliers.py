@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.correction.jumps import find_bumps
 from engine.correction.links import Links, find_edges, find_excursions
-from engine.correction.robust import frame_interval_s, odd_window, running_median
+from engine.correction.robust import frame_interval_s, odd_window, running_median, widen
 from engine.datatypes import Array
 from engine.skeletons import Skeleton
 
@@ -58,9 +59,10 @@ class OutlierFindings:
 def find_outliers(
     time_s: Array, position: Array, links: Links, skeleton: Skeleton
 ) -> OutlierFindings:
-    """Find misdetected joints, jitter and the loss of the person from link lengths.
+    """Find misdetected joints, jitter and the loss of the person.
 
-    Only the joint that explains the wrong links is blamed, with the joints beyond it on the same
+    A joint that jumps away and back is wrong by itself (`find_bumps`). From link lengths, only the
+    joint that explains the wrong links is blamed, with the joints beyond it on the same
     limb: a wrong forearm alone is the wrist's fault, forearm and upper arm together the
     elbow's, upper arm and shoulder width together the shoulder's.
 
@@ -87,15 +89,18 @@ def find_outliers(
     misdetected = np.zeros(position.shape[:2], dtype=bool)
     names = {name: flagged[:, j] for j, name in enumerate(links.names)}
     deviation = _deviation(time_s, position)
+    misdetected |= find_bumps(time_s, position * (links.scale_cm / 100.0)[:, None, None], skeleton)
     for root, middle, end in LIMBS:
         for side in ("left", "right"):
             chain = (f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}")
             if all(name in skeleton.keypoints for name in chain):
                 _blame_limb(misdetected, names, chain, skeleton, deviation)
+    rejected = misdetected | is_lost[:, None]
+    explained = flagged | rejected[:, links.ends].any(axis=2) | ~np.isfinite(links.length_cm)
     return OutlierFindings(
         is_misdetected=misdetected & ~is_lost[:, None],
         is_lost=is_lost,
-        is_jitter=edges.is_edge & ~flagged,
+        is_jitter=edges.is_edge & ~widen(explained, 1),
         is_flagged=flagged,
         is_unsteady=edges.is_unsteady,
     )

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label, median_filter
+from scipy.ndimage import binary_closing, label, median_filter
 
 from engine.datatypes import Array
 
 __all__ = [
+    "close_gaps",
     "fill_linearly",
     "frame_interval_s",
+    "known_median",
     "last_known",
     "mad_sigma",
     "odd_window",
     "running_median",
     "runs_that_touch",
+    "widen",
 ]
 
 _NORMAL = 1.4826
@@ -34,13 +37,21 @@ def odd_window(duration_s: float, interval_s: float) -> int:
     return 2 * round((duration_s / interval_s - 1.0) / 2.0) + 1 if duration_s > interval_s else 1
 
 
+def known_median(values: Array) -> Array:
+    """Return the median per column (T, C) -> (C,) without its gaps; NaN without values."""
+    ordered = np.sort(values, axis=0)  # NaN last
+    count = np.isfinite(values).sum(axis=0)
+    columns = np.arange(values.shape[1])
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, max(len(values) - 1, 0))
+    middle = (ordered[low, columns] + ordered[high, columns]) / 2.0
+    return np.where(count > 0, middle, np.nan)
+
+
 def mad_sigma(values: Array) -> Array:
     """Return a robust SD per column: 1.4826 x median absolute deviation; NaN without values."""
-    spread = np.full(values.shape[1], np.nan)
-    for column in np.flatnonzero(np.isfinite(values).any(axis=0)):
-        known = values[np.isfinite(values[:, column]), column]
-        spread[column] = _NORMAL * np.median(np.abs(known - np.median(known)))
-    return spread
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
+    return _NORMAL * known_median(np.abs(values - known_median(values)))
 
 
 def fill_linearly(values: Array) -> Array:
@@ -106,3 +117,20 @@ def runs_that_touch(mask: NDArray[np.bool_], seeds: NDArray[np.bool_]) -> NDArra
     labels, _ = label(mask, structure=_ALONG_TIME)
     chosen = np.unique(labels[seeds & mask])
     return np.asarray(mask & np.isin(labels, chosen[chosen > 0]))
+
+
+def widen(mask: NDArray[np.bool_], frames: int) -> NDArray[np.bool_]:
+    """Return a mask (T, C) that is also true up to `frames` before and after every true sample."""
+    wide = mask.copy()
+    for shift in range(1, min(frames, len(mask) - 1) + 1):
+        wide[:-shift] |= mask[shift:]
+        wide[shift:] |= mask[:-shift]
+    return wide
+
+
+def close_gaps(mask: NDArray[np.bool_], frames: int) -> NDArray[np.bool_]:
+    """Return a mask (T, C) whose runs along time are joined where at most `frames` lie between."""
+    joined = np.zeros((len(mask) + 2 * frames, mask.shape[1]), dtype=bool)
+    joined[frames : len(mask) + frames] = mask
+    joined = binary_closing(joined, structure=np.ones((frames + 1, 1), dtype=bool))
+    return np.asarray(joined[frames : len(mask) + frames])

@@ -198,8 +198,8 @@ class OneEuro(_Settings):
     .. [1] Casiez, Roussel & Vogel (2012), 1€ filter, CHI '12: 2527-2530.
     """
 
-    min_cutoff_hz: float = 1.0
-    beta: float = 0.5
+    min_cutoff_hz: float = 3.0
+    beta: float = 4.0
     derivative_cutoff_hz: float = 1.0
 
     def smooth(self, time_s: Array, values: Array) -> Array:

@@ -150,6 +150,7 @@ RANGES = [
     (CorrectionConfig, "cutoff_hz", [0.0, -6.0, float("inf")], [0.5, 20.0]),
     (CorrectionConfig, "window_s", [-0.1, 61.0, float("nan")], [0.0, 0.5]),
     (CorrectionConfig, "jerk", [0.0, -1.0, float("inf")], [1.0, 300.0]),
+    (CorrectionConfig, "gate_probability", [0.4, 1.1, float("nan")], [0.5, 0.999, 1.0]),
     (CorrectionConfig, "min_cutoff_hz", [0.0, -1.0, float("nan")], [0.1, 10.0]),
     (CorrectionConfig, "beta", [-0.1, float("inf")], [0.0, 5.0]),
     (EventsConfig, "min_rise_m", [0.0, 3.0], [0.05, 1.0]),

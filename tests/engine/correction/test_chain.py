@@ -50,7 +50,8 @@ def test_long_gap_stays_missing_and_visible():
 
 def test_other_keypoints_are_not_touched():
     corrected = correct_track(with_doubtful(make_track(), slice(20, 25), 15))
-    assert np.allclose(np.delete(corrected.position, 15, axis=1)[:, :, 0], TIME_S[:, None])
+    others = np.delete(corrected.position, 15, axis=1)[:, :, 0]
+    assert np.allclose(others, TIME_S[:, None], atol=1e-4)
 
 
 def test_shares_add_up_to_one():
@@ -71,5 +72,5 @@ def test_none_returns_the_track_itself():
 def test_unknown_names_say_what_there_is():
     with pytest.raises(ConfigError, match="'default', 'paper' or 'none'"):
         correct_track(make_track(), preset="best")
-    with pytest.raises(ConfigError, match="must be one of butterworth, kalman"):
+    with pytest.raises(ConfigError, match="must be one of kalman, butterworth"):
         correct_track(make_track(), smoother="moving_average")
