@@ -417,7 +417,9 @@ def _estimate_lag_sigma(
     middle = np.column_stack([_smooth(column) for column in ((own + other) / 2).T])
     slope = np.gradient(middle, time, axis=0)
     residual = own - other
-    residual = residual - np.nanmean(residual, axis=0)
+    known = np.isfinite(residual)
+    means = np.where(known, residual, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    residual = residual - means
     product = np.nan_to_num(residual * slope).sum(axis=1)
     steepness = float(np.nansum(slope**2))
     block = max(1, round(BLOCK_S * GRID_HZ))
@@ -471,7 +473,10 @@ def _refuse_wrong_unit(
 ) -> None:
     """Refuse a reference whose curves are some 57 times too small or too large."""
     _, own, other = _paired_at(result, reference, names, lag_s)
-    ratios = [_excursion(other[:, i]) / _excursion(own[:, i]) for i in range(len(names))]
+    moves = [(_excursion(other[:, i]), _excursion(own[:, i])) for i in range(len(names))]
+    ratios = [theirs / ours for theirs, ours in moves if ours > 0]
+    if not ratios:
+        return
     ratio = float(np.median(ratios))
     if not 1 / UNIT_FACTOR <= ratio <= UNIT_FACTOR:
         word = "radians" if ratio < 1 else "degrees"

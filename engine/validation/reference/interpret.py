@@ -111,11 +111,15 @@ def _interpret_markers(
     notes: list[str],
     settings: dict[str, Any],
 ) -> tuple[Markers | None, dict[str, str]]:
-    if not recording.labels or not np.isfinite(recording.position).any():
+    if not recording.labels:
         return None, {}
     labels, kept, note = strip_prefixes(recording.labels)
     notes.append(note)
     position = np.asarray(recording.position[:, list(kept)])
+    # A point with two coordinates is no point.
+    position = np.where(np.isfinite(position).all(axis=2, keepdims=True), position, np.nan)
+    if not np.isfinite(position).any():
+        return None, {}
     unit, finding = _find_length_unit(recording, position, rules.length_unit)
     findings.append(finding)
     landmarks = _find_landmarks(recording.name, labels, rules, findings)
@@ -138,6 +142,7 @@ def _find_length_unit(
     step = max(1, position.shape[0] // SAMPLE_FRAMES)
     sample = position[::step]
     sample = sample[np.isfinite(sample).any(axis=(1, 2))]
+    sample = sample if len(sample) else position[np.isfinite(position).any(axis=(1, 2))][:1]
     middle = np.nanmedian(sample, axis=1, keepdims=True)
     distance = np.sqrt(((sample - middle) ** 2).sum(axis=2))
     size = float(np.nanpercentile(distance, 80))
@@ -207,8 +212,19 @@ _LOWER = ("lateral_ankle", "ankle", "heel")
 
 
 def _first(named: _Named, words: tuple[str, ...]) -> Array | None:
+    """Return the first of these landmarks that was ever seen, both sides averaged."""
     points = (named.point(*_both(word)) for word in words)
-    return next((p for p in points if p is not None), None)
+    return next((p for p in points if p is not None and _is_seen(p)), None)
+
+
+def _is_seen(points: Array) -> bool:
+    return bool(np.isfinite(points).all(axis=-1).any())
+
+
+def _median(rows: Array) -> Array:
+    """Return the median of the rows (T, D) that are complete; NaN if none is."""
+    known = rows[np.isfinite(rows).all(axis=1)]
+    return np.asarray(np.median(known, axis=0)) if len(known) else np.full(rows.shape[1], np.nan)
 
 
 def _find_axes(recording: Recording, named: _Named, given: Axes | None) -> tuple[Axes, Finding]:
@@ -236,7 +252,8 @@ def _find_up(named: _Named) -> tuple[Array, float, str]:
     """Return the upward axis, how sure it is, and why."""
     top, pelvis, feet = (_first(named, words) for words in (_UPPER, _PELVIS, _LOWER))
     if top is None:
-        top = named.point("c7", "notch", "vertex")
+        spine = (named.point(name) for name in ("c7", "notch", "vertex"))
+        top = next((p for p in spine if p is not None and _is_seen(p)), None)
     above = top if pelvis is None else pelvis
     if feet is not None and above is not None:
         lines, words = above - feet, "body above the feet"
@@ -244,7 +261,9 @@ def _find_up(named: _Named) -> tuple[Array, float, str]:
         lines, words = top - pelvis, "shoulders above the pelvis"
     else:
         return _find_tall_axis(named.position)
-    line = np.asarray(np.nanmedian(lines, axis=0))
+    line = _median(lines)
+    if not np.isfinite(line).all() or not line.any():
+        return _find_tall_axis(named.position)
     share = float(np.abs(line).max() / np.linalg.norm(line))
     # Straight up is certain; at 45 degrees two axes are as good as each other.
     score = float(np.clip((share - 0.70) / 0.25, 0.0, 1.0))
@@ -253,10 +272,10 @@ def _find_up(named: _Named) -> tuple[Array, float, str]:
 
 def _find_tall_axis(position: Array) -> tuple[Array, float, str]:
     """Take the axis along which the markers spread most; the floor is at 0, so up is positive."""
-    with np.errstate(invalid="ignore"):
-        spread = np.nanmedian(np.nanmax(position, axis=1) - np.nanmin(position, axis=1), axis=0)
+    seen = position[np.isfinite(position).any(axis=(1, 2))]
+    spread = np.median(np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1), axis=0)
     column = int(np.argmax(spread))
-    middle = float(np.nanmedian(position[:, :, column]))
+    middle = float(np.nanmedian(seen[:, :, column]))
     second = float(np.sort(spread)[-2])
     score = 0.7 * float(np.clip((spread[column] / max(second, 1e-9) - 1.0) / 1.5, 0.0, 1.0))
     direction = np.eye(3)[column] * (1.0 if middle >= 0 else -1.0)
@@ -269,9 +288,9 @@ def _find_front(time_s: Array, named: _Named, up: Array) -> Array:
     start = time_s <= time_s[0] + START_S
     if across is not None and np.isfinite(across[start]).all(axis=1).any():
         # Front = up x right, as X = Y x Z.
-        front = np.cross(up, np.nanmedian(across[start], axis=0))
+        front = np.cross(up, _median(across[start]))
         if np.linalg.norm(front) > 0:
-            return _snap(front - front @ up * up)
+            return _snap(front)
     # Keep the cyclic order, so that a file with Y up is left alone.
     return np.roll(np.abs(up), -1) if abs(up[1]) < 0.5 else np.array([1.0, 0.0, 0.0])
 
@@ -280,15 +299,16 @@ def _across(named: _Named) -> Array | None:
     """Return the line from left to right, of the hips where they are marked, else shoulders."""
     for word in (*_PELVIS, *_UPPER, "lateral_ankle", "ankle"):
         left, right = (named.point(f"{side}_{word}") for side in ("left", "right"))
-        if left is not None and right is not None:
+        if left is not None and right is not None and _is_seen(right - left):
             return np.asarray(right - left)
     return None
 
 
+_TOES = ("toe", "big_toe", "first_metatarsal", "fifth_metatarsal")
 _FRONT_PAIRS = (
-    (("asis",), ("psis",)),
-    (("toe", "big_toe", "first_metatarsal", "fifth_metatarsal"), ("heel",)),
-    (("toe", "fifth_metatarsal"), ("lateral_ankle", "ankle")),
+    (("asis",), ("psis",), "the front points of the pelvis", "the back ones"),
+    (_TOES, ("heel",), "the toes", "the heels"),
+    (_TOES, ("lateral_ankle", "ankle"), "the toes", "the ankles"),
 )
 
 
@@ -298,23 +318,23 @@ def _find_sides(time_s: Array, named: _Named) -> Finding | None:
     if across is None:
         return None
     by_sides = np.cross([0.0, 1.0, 0.0], across)
-    for fronts, backs in _FRONT_PAIRS:
+    for fronts, backs, this, that in _FRONT_PAIRS:
         front = _first(named, fronts)
         back = _first(named, backs)
         if front is None or back is None:
             continue
-        line = front - back
-        line[:, 1] = 0.0
+        line = (front - back) * np.array([1.0, 0.0, 1.0])
         with np.errstate(invalid="ignore", divide="ignore"):
-            cosine = (line * by_sides).sum(axis=1) / np.linalg.norm(line, axis=1)
-            cosine = float(np.nanmedian(cosine / np.linalg.norm(by_sides, axis=1)))
+            cosines = (line * by_sides).sum(axis=1) / np.linalg.norm(line, axis=1)
+            cosines /= np.linalg.norm(by_sides, axis=1)
+        cosine = float(_median(cosines[:, None])[0])
         if not np.isfinite(cosine):
             continue
-        words = f"{fronts[0]} lies before {backs[0]}"
         if cosine < SWAP_COSINE:
-            why = f"{fronts[0]} would lie behind {backs[0]}: sides exchanged or an axis mirrored"
+            why = f"{this} would be behind {that}: sides exchanged or an axis mirrored"
             return Finding("sides", "swapped", 0.0, why)
-        return Finding("sides", "as labelled", min(1.0, max(cosine, 0.0) / 0.8), words)
+        score = min(1.0, max(cosine, 0.0) / 0.8)
+        return Finding("sides", "as labelled", score, f"{this} are before {that}")
     return None
 
 

@@ -126,7 +126,7 @@ def _read_times(
     if not frames.size:
         raise DataError(f"{name} holds no frames; export the recording again.")
     sub = frames[:, 1] if frames.shape[1] > 1 else np.zeros(len(frames))
-    per_frame = float(np.nanmax(sub)) + 1.0
+    per_frame = float(np.nan_to_num(sub).max()) + 1.0
     # The rate counts sub-frames, where there are some.
     time = (frames[:, 0] - 1.0 + sub / per_frame) * per_frame / rate_hz
     return require_times(time, name=name, first_line=first_line)

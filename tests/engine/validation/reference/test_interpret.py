@@ -5,6 +5,8 @@ import pickle
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from engine.errors import DataError, UnitError
 from engine.kinematics.angles import ANGLE_NAMES, compute_trunk_angles, get_external_angle
@@ -335,3 +337,19 @@ def test_a_recording_without_anything_is_refused():
     empty = Recording("a.csv", "csv", np.arange(3.0))
     with pytest.raises(DataError, match="holds no markers and no angle"):
         interpret(empty)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_gaps_of_any_kind_lead_to_findings_or_one_plain_sentence(seed, gap_share, lost_share):
+    """Samples, coordinates and whole markers may be missing; nothing may be invented."""
+    rng = np.random.default_rng(seed)
+    labels, position = moving_markers(6)
+    position[rng.random(position.shape) < gap_share] = np.nan
+    position[:, rng.random(len(labels)) < lost_share] = np.nan
+    try:
+        reference = interpret(record(position, labels))
+    except DataError:
+        return
+    seen = np.isfinite(reference.markers.position).all(axis=2)
+    np.testing.assert_array_equal(seen, np.isfinite(position).all(axis=2))

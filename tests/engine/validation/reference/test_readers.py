@@ -3,6 +3,8 @@ from __future__ import annotations
 import ezc3d
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from engine.errors import DataError
 from engine.validation.reference.files import read_recording
@@ -317,9 +319,130 @@ def test_a_c3d_without_points_is_one_plain_sentence(tmp_path):
 def test_a_damaged_c3d_is_one_plain_sentence(tmp_path):
     labels, position = moving_markers(6)
     path = write_c3d(tmp_path / "a.c3d", labels, position)
-    path.write_bytes(path.read_bytes()[:700])
-    with pytest.raises(DataError, match="can't be read as C3D"):
+    whole = path.read_bytes()
+    for size, reason in ((700, "damaged C3D file"), (len(whole) - 1500, "cut off")):
+        path.write_bytes(whole[:size])
+        with pytest.raises(DataError, match=reason):
+            read_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        (b"LABELS", b"LABELX", "lacks the parameter POINT:LABELS"),
+        (b"POINT", b"PAINT", "lacks the parameter POINT"),
+        (b"\x02\x54", b"\x02\x63", "unknown processor 99"),
+    ],
+    ids=["labels", "group", "processor"],
+)
+def test_a_c3d_with_damaged_parameters_is_one_plain_sentence(tmp_path, old, new, reason):
+    path = tmp_path / "a.c3d"
+    data = build_c3d(np.ones((2, 3, 3)), ("A", "B", "C"), processor=84, scale=-1.0)
+    assert old in data
+    path.write_bytes(data.replace(old, new, 1))
+    with pytest.raises(DataError, match=reason):
         read_recording(path)
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_any_damage_to_a_c3d_is_one_plain_sentence_or_still_readable(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    labels, position = moving_markers(6)
+    path = tmp_path / "whole.c3d"
+    if not path.exists():
+        write_c3d(path, labels, position)
+    data = bytearray(path.read_bytes())
+    for _ in range(rng.integers(1, 8)):
+        data[rng.integers(0, min(len(data), 4000))] = rng.integers(0, 256)
+    damaged = tmp_path / "damaged.c3d"
+    damaged.write_bytes(data[: rng.integers(2, len(data))] if seed % 3 == 0 else data)
+    try:
+        recording = read_recording(damaged)
+    except DataError:
+        return
+    assert recording.time_s.size == recording.position.shape[0]
+
+
+def build_c3d(position, labels, *, processor, scale, first_frame=1, n_analog=0):
+    """Build a C3D file by hand, in any byte order, as floats or scaled integers."""
+    order = ">" if processor == 86 else "<"
+
+    def floats(values):
+        values = np.asarray(values, dtype=np.float32)
+        if processor != 85:
+            return values.astype(f"{order}f4").tobytes()
+        halves = (values * 4).astype("<f4").view("<u2").reshape(-1, 2)[:, ::-1]
+        return halves.tobytes()
+
+    def integer(value):
+        return np.array(value, f"{order}u2").tobytes()
+
+    def record(group, key, kind, dimensions, content):
+        body = bytes([kind & 0xFF, len(dimensions), *dimensions]) + content + b"\0"
+        head = bytes([len(key), group & 0xFF]) + key.encode()
+        return head + np.array(len(body) + 2, f"{order}u2").tobytes() + body
+
+    width = max(map(len, labels))
+    names = "".join(label.ljust(width) for label in labels).encode()
+    group = bytes([5, 0xFF]) + b"POINT" + np.array(3, f"{order}u2").tobytes() + b"\0"
+    parameters = (
+        bytes([1, 0x50, 2, processor])
+        + group
+        + record(1, "SCALE", 4, (), floats([scale]))
+        + record(1, "RATE", 4, (), floats([50.0]))
+        + record(1, "LABELS", -1, (width, len(labels)), names)
+        + record(1, "UNITS", -1, (2,), b"mm")
+        + record(1, "USED", 2, (), integer(len(labels)))
+        + record(1, "FRAMES", 2, (), integer(len(position)))
+        + record(1, "DATA_START", 2, (), integer(4))
+    ).ljust(1024, b"\0")
+    n_frames = len(position)
+    words = [0, len(labels), n_analog, first_frame, first_frame + n_frames - 1, 0, 0, 0, 4, 0]
+    header = bytearray(np.array(words, f"{order}u2").tobytes().ljust(512, b"\0"))
+    header[:2] = bytes([2, 0x50])
+    residual = np.where(np.isnan(position).any(axis=2), -1.0, 0.0)[..., None]
+    stored = np.nan_to_num(position) / (1.0 if scale < 0 else scale)
+    points = np.concatenate([stored, residual], axis=2).reshape(n_frames, -1)
+    table = np.column_stack([points, np.full((n_frames, n_analog), 7.0)])
+    if scale < 0:
+        return bytes(header) + parameters + floats(table.ravel())
+    return bytes(header) + parameters + np.round(table).astype(f"{order}i2").tobytes()
+
+
+@pytest.mark.parametrize("processor", [84, 85, 86], ids=["intel", "dec", "mips"])
+@pytest.mark.parametrize("scale", [-1.0, 0.1], ids=["floats", "integers"])
+def test_c3d_of_every_processor_and_number_type(tmp_path, processor, scale):
+    position = np.random.default_rng(4).uniform(-2000, 2000, (7, 3, 3))
+    position[2, 1] = np.nan
+    path = tmp_path / "a.c3d"
+    path.write_bytes(
+        build_c3d(
+            position,
+            ("A", "LONG", "C"),
+            processor=processor,
+            scale=scale,
+            first_frame=6,
+            n_analog=5,
+        )
+    )
+    recording = read_recording(path)
+    assert recording.labels == ("A", "LONG", "C")
+    assert recording.length_unit == "mm"
+    np.testing.assert_allclose(recording.time_s, np.arange(5, 12) / 50.0)
+    np.testing.assert_allclose(recording.position, position, atol=0.051 if scale > 0 else 1e-3)
+
+
+def test_the_hand_built_c3d_is_what_the_library_reads_too(tmp_path):
+    """Else the test above would only compare two readings of the format by the same person."""
+    position = np.random.default_rng(4).uniform(-2000, 2000, (7, 3, 3))
+    path = tmp_path / "a.c3d"
+    for processor, scale in ((84, -1.0), (84, 0.1), (85, -1.0)):
+        path.write_bytes(build_c3d(position, ("A", "B", "C"), processor=processor, scale=scale))
+        points = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+        np.testing.assert_allclose(points, position, atol=0.051)
 
 
 def test_a_folder_is_one_plain_sentence(tmp_path):
@@ -334,3 +457,45 @@ def test_binary_text_is_one_plain_sentence(tmp_path):
     path.write_bytes(bytes(range(256)) * 4)
     with pytest.raises(DataError, match="no text file"):
         read_recording(path)
+
+
+def good_files(folder):
+    """Return one small good file of every text format."""
+    labels, position = moving_markers(4)
+    write_trc(folder / "a.trc", labels, position * 1000)
+    write_mot(folder / "a.mot", {"knee_angle_r": np.arange(4.0), "hip_flexion_r": np.ones(4)})
+    (folder / "vicon.csv").write_text(NEXUS)
+    (folder / "plain.csv").write_text("time_s,LASI_x,LASI_y,LASI_z\n0,1,2,3\n0.1,1,2,4\n")
+    return ("a.trc", "a.mot", "vicon.csv", "plain.csv")
+
+
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_any_damage_to_a_text_file_is_one_plain_sentence_or_still_readable(tmp_path, data):
+    name = data.draw(st.sampled_from(good_files(tmp_path)))
+    lines = (tmp_path / name).read_text().splitlines()
+    for _ in range(data.draw(st.integers(1, 3))):
+        if not lines:
+            break
+        at = data.draw(st.integers(0, len(lines) - 1))
+        what = data.draw(st.sampled_from(["drop", "twice", "cut", "word", "comma", "blank"]))
+        cut = data.draw(st.integers(0, max(len(lines[at]) - 1, 0)))
+        new = {
+            "drop": [],
+            "twice": [lines[at]] * 2,
+            "cut": [lines[at][:cut]],
+            "word": [lines[at][:cut] + "x" + lines[at][cut:]],
+            "comma": [lines[at][:cut] + "," + lines[at][cut:]],
+            "blank": ["\t"],
+        }[what]
+        lines[at : at + 1] = new
+    damaged = tmp_path / f"damaged_{name}"
+    damaged.write_text("\n".join(lines))
+    try:
+        recording = read_recording(damaged)
+    except DataError:
+        return
+    assert recording.time_s.size
+    assert (np.diff(recording.time_s) > 0).all()
