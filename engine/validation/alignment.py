@@ -11,14 +11,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from engine.datatypes import Array, JointAngles, frozen_array
 from engine.errors import ConfigError, DataError, ShapeError, UnitError
-from engine.validation.resampling import resample_angles, swap_sides, wrap_deg
+from engine.validation.lag_search import (
+    GRID_HZ,
+    EvenCurves,
+    LagSearch,
+    excursion,
+    find_peak,
+    find_runner_up,
+    refine_peak,
+    resample_evenly,
+    search_lags,
+)
+from engine.validation.resampling import resample_angles, wrap_deg
 
 __all__ = [
     "OffsetMethod",
@@ -30,18 +41,12 @@ __all__ = [
 
 OffsetMethod = Literal["none", "median", "start"]
 
-GRID_HZ = 100.0
 MIN_CORRELATION = 0.75
 """Unlike movements reach 0.7 by chance, as one of the peaks of any two recordings fits best."""
-MIN_OVERLAP_S = 1.0
-MIN_OVERLAP_SHARE = 0.4
 SWAP_GAIN = 0.15
 """Sides count as exchanged when the correlation gains more than this by exchanging them."""
-MIN_EXCURSION_DEG = 5.0
-"""A curve that moves less tells nothing about the lag."""
 UNIT_FACTOR = 20.0
 OPPOSITE = -0.6
-PEAK_HALF_WIDTH_S = 0.05
 BLOCK_S = 0.5
 SMOOTH_S = 0.25
 STILL_MARGIN = 0.03
@@ -130,16 +135,6 @@ class PairedAngles:
 # --------------------------------------------------------------------------- lag
 
 
-class _Search(NamedTuple):
-    """Correlation at every lag: `pooled` (L,), `single` (A, L), `overlap_s` (L,)."""
-
-    lag_s: Array
-    pooled: Array
-    single: Array
-    overlap_s: Array
-    names: tuple[str, ...]
-
-
 def estimate_lag(
     result: JointAngles,
     reference: JointAngles,
@@ -175,17 +170,19 @@ def estimate_lag(
         If the reference looks like radians taken for degrees or the reverse.
     """
     common = _common_names(result, reference, names)
-    search = _search_lags(result, reference, common, max_lag_s)
-    best = _find_peak(search)
-    _refuse_swapped_sides(result, reference, names, max_lag_s, float(search.pooled[best]))
+    own = resample_evenly(result, common, word="result")
+    other = resample_evenly(reference, common, word="reference")
+    search = search_lags(own, other, [(name, name) for name in common], max_lag_s=max_lag_s)
+    best = find_peak(search)
+    _refuse_swapped_sides(own, other, max_lag_s, float(search.pooled[best]))
     if not search.pooled[best] >= min_correlation:
         raise DataError(
             f"The reference does not fit the result: the best correlation is "
             f"{search.pooled[best]:.2f}, at a lag of {search.lag_s[best]:.2f} s; expected at least "
             f"{min_correlation:g}. Is it the same person and movement?"
         )
-    lag = _refine_peak(search, best)
-    runner, runner_r = _find_runner_up(search, best)
+    lag = refine_peak(search, best)
+    runner, runner_r = find_runner_up(search, best)
     single = dict(zip(search.names, map(float, search.single[:, best]), strict=True))
     lag_sigma = _estimate_lag_sigma(result, reference, search.names, lag)
     _refuse_wrong_unit(result, reference, search.names, lag)
@@ -233,158 +230,8 @@ def _common_names(
     return common
 
 
-def _search_lags(
-    result: JointAngles,
-    reference: JointAngles,
-    names: tuple[str, ...],
-    max_lag_s: float | None,
-) -> _Search:
-    """Compute the correlation of all angles at every lag on a common grid."""
-    step = 1.0 / GRID_HZ
-    for angles, word in ((result, "result"), (reference, "reference")):
-        if angles.time_s.size < 2 or angles.time_s[-1] - angles.time_s[0] < MIN_OVERLAP_S:
-            raise DataError(
-                f"The {word} lasts less than {MIN_OVERLAP_S:g} s, which is too short to find the "
-                "lag; give a longer recording."
-            )
-    grids = [np.arange(a.time_s[0], a.time_s[-1] + step / 2, step) for a in (result, reference)]
-    curves = [
-        _pick(resample_angles(a, np.minimum(grid, a.time_s[-1])), names)
-        for a, grid in zip((result, reference), grids, strict=True)
-    ]
-    kept = [
-        i
-        for i in range(len(names))
-        if min(_excursion(c[:, i]) for c in curves) > 0
-        and max(_excursion(c[:, i]) for c in curves) >= MIN_EXCURSION_DEG
-    ]
-    if not kept:
-        raise DataError(
-            "No common angle moves, so that the lag can't be found; choose a recording with "
-            "movement, or give the lag."
-        )
-    first, second = (c[:, kept] for c in curves)
-    count, cross, single, lags = _correlate(first, second)
-    lag = grids[0][0] - grids[1][0] + lags * step
-    shortest = min(len(first), len(second)) * step
-    needed = max(MIN_OVERLAP_S, MIN_OVERLAP_SHARE * shortest)
-    allowed = count * step >= needed
-    if max_lag_s is not None:
-        allowed &= np.abs(lag) <= max_lag_s
-    if not allowed.any():
-        raise DataError(
-            f"Result and reference overlap less than {needed:.1f} s at every lag that was allowed; "
-            "check the times, or raise max_lag_s."
-        )
-    return _Search(
-        lag_s=lag[allowed],
-        pooled=cross[allowed],
-        single=single[:, allowed],
-        overlap_s=count[allowed] * step,
-        names=tuple(names[i] for i in kept),
-    )
-
-
 def _pick(angles: JointAngles, names: Sequence[str]) -> Array:
     return np.column_stack([angles[name] for name in names])
-
-
-def _excursion(curve: Array) -> float:
-    known = curve[np.isfinite(curve)]
-    return float(np.ptp(known)) if known.size > 1 else 0.0
-
-
-def _correlate(first: Array, second: Array) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """Correlate gappy curves at every lag, with the mean of each overlap removed.
-
-    Parameters
-    ----------
-    first, second
-        Shape (T1, A) and (T2, A) at one rate; NaN where missing.
-
-    Returns
-    -------
-    tuple
-        Mean overlap in samples (L,), pooled correlation (L,), correlation of each curve (A, L),
-        and lag of `second` in samples (L,).
-    """
-    n = len(first) + len(second) - 1
-    lags = np.arange(n) - (len(second) - 1)
-    sums = [_lagged_sums(first[:, i], second[:, i], n) for i in range(first.shape[1])]
-    counts, covariances, variances = (np.stack(part) for part in zip(*sums, strict=True))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        single = covariances / variances
-        pooled = np.nansum(covariances, axis=0) / np.nansum(variances, axis=0)
-    return counts.mean(axis=0), pooled, np.clip(single, -1.0, 1.0), lags
-
-
-def _lagged_sums(x: Array, y: Array, n: int) -> tuple[Array, Array, Array]:
-    """Return overlap, covariance and root of both variances at every lag, by FFT."""
-    x_known, y_known = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
-    x = np.where(x_known > 0, x - np.nanmean(x), 0.0)
-    y = np.where(y_known > 0, y - np.nanmean(y), 0.0)
-    size = 1 << (n - 1).bit_length()
-
-    def correlate(a: Array, b: Array) -> Array:
-        spectrum = np.fft.rfft(a, size) * np.fft.rfft(b[::-1], size)
-        return np.asarray(np.fft.irfft(spectrum, size)[:n])
-
-    count = np.round(correlate(x_known, y_known))
-    safe = np.maximum(count, 1.0)
-    sum_x, sum_y = correlate(x, y_known), correlate(x_known, y)
-    covariance = correlate(x, y) - sum_x * sum_y / safe
-    spread_x = np.maximum(correlate(x**2, y_known) - sum_x**2 / safe, 0.0)
-    spread_y = np.maximum(correlate(x_known, y**2) - sum_y**2 / safe, 0.0)
-    return count, covariance, np.sqrt(spread_x * spread_y)
-
-
-def _evidence(search: _Search) -> Array:
-    """Return how much speaks for each lag: Fisher's z of the correlation, by root overlap.
-
-    A slightly better correlation over a short overlap is worth less than one over all of it.
-    """
-    z = np.arctanh(np.clip(np.nan_to_num(search.pooled), -0.9999, 0.9999))
-    return np.asarray(z * np.sqrt(search.overlap_s))
-
-
-def _find_peak(search: _Search) -> int:
-    """Return the lag with most evidence, moved to the top of its peak."""
-    best, r = int(np.argmax(_evidence(search))), search.pooled
-    while best > 0 and r[best - 1] > r[best]:
-        best -= 1
-    while best < r.size - 1 and r[best + 1] > r[best]:
-        best += 1
-    return best
-
-
-def _refine_peak(search: _Search, best: int) -> float:
-    """Return the top of a parabola through the lags around the best one, s.
-
-    Noise moves the top of three points more than that of many.
-    """
-    near = np.flatnonzero(np.abs(search.lag_s - search.lag_s[best]) < PEAK_HALF_WIDTH_S + 1e-9)
-    if not near[0] < best < near[-1]:
-        return float(search.lag_s[best])
-    shift = search.lag_s[near] - search.lag_s[best]
-    curvature, slope, _ = np.polyfit(shift, search.pooled[near], 2)
-    top = -slope / (2 * curvature) if curvature < 0 else 0.0
-    return float(search.lag_s[best] + np.clip(top, shift[0], shift[-1]))
-
-
-def _find_runner_up(search: _Search, best: int) -> tuple[float, float]:
-    """Return the best lag that lies on another peak, and its correlation."""
-    r = search.pooled
-    low = high = best
-    while low > 0 and r[low - 1] <= r[low]:
-        low -= 1
-    while high < r.size - 1 and r[high + 1] <= r[high]:
-        high += 1
-    others = _evidence(search)
-    others[low : high + 1] = -np.inf
-    second = int(np.argmax(others))
-    if not np.isfinite(others[second]):
-        return float("nan"), float("nan")
-    return float(search.lag_s[second]), float(r[second])
 
 
 def _paired_at(
@@ -397,8 +244,8 @@ def _paired_at(
     time = np.arange(start, end, 1.0 / GRID_HZ)
     return (
         time,
-        _pick(resample_angles(result, time), names),
-        _pick(resample_angles(moved, time), names),
+        _pick(resample_angles(result, time, names=names), names),
+        _pick(resample_angles(moved, time, names=names), names),
     )
 
 
@@ -438,34 +285,32 @@ def _smooth(curve: Array) -> Array:
 
 
 def _refuse_swapped_sides(
-    result: JointAngles,
-    reference: JointAngles,
-    names: Sequence[str] | None,
-    max_lag_s: float | None,
-    as_labelled: float,
+    result: EvenCurves, reference: EvenCurves, max_lag_s: float | None, as_labelled: float
 ) -> None:
-    swapped = swap_sides(reference)
-    wanted = result.names if names is None else names
-    own = [
-        name
-        for name in wanted
-        if name[-2:] in ("_l", "_r")
-        and all(name in angles.names for angles in (result, reference, swapped))
+    other = {"_l": "_r", "_r": "_l"}
+    exchanged = [
+        (name, f"{name[:-2]}{other[name[-2:]]}")
+        for name in result.curves
+        if name[-2:] in other and f"{name[:-2]}{other[name[-2:]]}" in reference.curves
     ]
-    if len(own) < 2:
+    if not exchanged:
         return
-    exchanged = _best(_search_lags(result, swapped, tuple(own), max_lag_s))
-    labelled = _best(_search_lags(result, reference, tuple(own), max_lag_s))
-    if exchanged > max(labelled, as_labelled) + SWAP_GAIN and exchanged >= MIN_CORRELATION:
+    labelled = [(name, name) for name, _ in exchanged]
+    try:
+        r_exchanged = _best(search_lags(result, reference, exchanged, max_lag_s=max_lag_s))
+        r_labelled = _best(search_lags(result, reference, labelled, max_lag_s=max_lag_s))
+    except DataError:
+        return  # no limb moves, so that the sides can't be told
+    if r_exchanged > max(r_labelled, as_labelled) + SWAP_GAIN and r_exchanged >= MIN_CORRELATION:
         raise DataError(
             "Left and right look exchanged in the reference: the correlation is "
-            f"{exchanged:.2f} with sides exchanged and {labelled:.2f} as labelled. Set swap_sides "
-            "= true in an import profile, or check that the video is not mirrored."
+            f"{r_exchanged:.2f} with sides exchanged and {r_labelled:.2f} as labelled. Set "
+            "swap_sides = true in an import profile, or check that the video is not mirrored."
         )
 
 
-def _best(search: _Search) -> float:
-    return float(search.pooled[_find_peak(search)])
+def _best(search: LagSearch) -> float:
+    return float(search.pooled[find_peak(search)])
 
 
 def _refuse_wrong_unit(
@@ -473,7 +318,7 @@ def _refuse_wrong_unit(
 ) -> None:
     """Refuse a reference whose curves are some 57 times too small or too large."""
     _, own, other = _paired_at(result, reference, names, lag_s)
-    moves = [(_excursion(other[:, i]), _excursion(own[:, i])) for i in range(len(names))]
+    moves = [(excursion(other[:, i]), excursion(own[:, i])) for i in range(len(names))]
     ratios = [theirs / ours for theirs, ours in moves if ours > 0]
     if not ratios:
         return
@@ -536,7 +381,7 @@ def pair_angles(
         )
     time = result.time_s[inside]
     own = _pick(result, common)[inside]
-    other = _pick(resample_angles(moved, time), common)
+    other = _pick(resample_angles(moved, time, names=common), common)
     missing = ~(np.isfinite(own) & np.isfinite(other))
     own, other = np.where(missing, np.nan, own), np.where(missing, np.nan, other)
     window = time <= time[0] + start_s if offset == "start" else np.ones(time.size, dtype=bool)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,9 @@ def _interpolate(time_s: Array, curve: Array, wanted_s: Array, *, max_gap_s: flo
     if not known.any():
         return np.full(wanted_s.shape, np.nan)
     own = time_s[known]
-    value = np.interp(wanted_s, own, curve[known], left=np.nan, right=np.nan)
+    value = np.asarray(np.interp(wanted_s, own, curve[known], left=np.nan, right=np.nan))
+    if own.size < 2 or np.diff(own).max() <= max_gap_s:
+        return value
     after = np.searchsorted(own, wanted_s)
     gap = own[np.clip(after, 0, own.size - 1)] - own[np.clip(after - 1, 0, own.size - 1)]
     is_sample = np.isin(wanted_s, own)
@@ -47,7 +50,11 @@ def _gap_limit(time_s: Array, max_gap_s: float) -> float:
 
 
 def resample_angles(
-    angles: JointAngles, time_s: Array, *, max_gap_s: float = MAX_GAP_S
+    angles: JointAngles,
+    time_s: Array,
+    *,
+    names: Sequence[str] | None = None,
+    max_gap_s: float = MAX_GAP_S,
 ) -> JointAngles:
     """Return angles at other times, by straight lines between samples.
 
@@ -57,17 +64,26 @@ def resample_angles(
         Any rate, even or not.
     time_s
         Shape (T,), increasing, s.
+    names
+        Which angles; by default all.
     max_gap_s
         Longer gaps stay NaN. Jumps of a full turn are undone first.
     """
     limit = _gap_limit(angles.time_s, max_gap_s)
+    kept = angles.names if names is None else tuple(names)
+    value = [_unwrap(angles[name]) for name in kept]
+    sigma = [angles.sigma(name) for name in kept]
     value, sigma = (
-        np.column_stack(
-            [_interpolate(angles.time_s, column, time_s, max_gap_s=limit) for column in columns]
-        )
-        for columns in (map(_unwrap, angles.value_deg.T), angles.sigma_deg.T)
+        [_interpolate(angles.time_s, curve, time_s, max_gap_s=limit) for curve in curves]
+        for curves in (value, sigma)
     )
-    return JointAngles(time_s, value, angles.names, sigma, convention=angles.convention)
+    return JointAngles(
+        time_s,
+        np.column_stack(value),
+        kept,
+        np.column_stack(sigma),
+        convention=angles.convention,
+    )
 
 
 def resample_positions(
