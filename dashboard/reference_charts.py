@@ -98,7 +98,10 @@ def plot_sides(agreement: Agreement, *, dark: bool = False) -> go.Figure:
     ):
         figure.add_bar(
             x=values, y=names, orientation="h", name=title, hovertemplate="%{x:.1f}°",
-            marker={"color": color, "pattern": {"shape": shape, "fgcolor": "rgba(255,255,255,.6)"}},
+            marker={
+                "color": color,
+                "pattern": {"shape": shape, "bgcolor": color, "fgcolor": "#ffffff", "size": 7},
+            },
         )  # fmt: skip
     _lay_down(figure, 2 * len(names), "Root mean square error (°)")
     return figure

@@ -280,10 +280,12 @@ def show_tables(agreement: Agreement) -> None:
     st.html(table_html(labels.MAIN_STATISTICS, [_main_cells(s) for s in seen]))
     with st.expander("All statistics"):
         st.html(table_html(labels.CURVE_STATISTICS, [_curve_cells(s) for s in seen]))
-        st.html(table_html(labels.TEST_STATISTICS, [_test_cells(s) for s in seen]))
+        if len(agreement.trials) > 1:
+            st.html(table_html(labels.TEST_STATISTICS, [_test_cells(s) for s in seen]))
         st.caption(
-            "Tests rest on persons, or on the trials of one person; with one trial there is "
-            "nothing to test. A large p is no proof of agreement."
+            "Tests of the mean, equivalence, ICC and minimal detectable change rest on persons, or "
+            "on several trials of one person: one trial gives none. `liftlens validate` pools "
+            "several. A large p is no proof of agreement."
         )
 
 
