@@ -14,13 +14,22 @@ import numpy as np
 
 from engine.datatypes import Array, PoseTrack, frozen_array
 from engine.errors import ConfigError, DataError, ShapeError, UnitError
-from engine.skeletons import get_skeleton
+from engine.skeletons import BODY_SEGMENTS, get_skeleton
 
-__all__ = ["SpatialAlignment", "SpatialMode", "align_positions"]
+__all__ = [
+    "SegmentLengths",
+    "SpatialAlignment",
+    "SpatialMode",
+    "align_positions",
+    "compare_segment_lengths",
+]
 
 SpatialMode = Literal["none", "rigid", "similarity"]
 UNIT_FACTOR = 5.0
 """Bodies that differ more in size than this are in different units."""
+OTHER_BODY = 0.12
+"""Limbs that differ by more than this share on average are hardly those of one person."""
+LIMBS = ("thigh", "shank", "upper_arm", "forearm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,3 +164,58 @@ def _fit_transform(moving: Array, fixed: Array, *, with_scale: bool) -> tuple[Ar
     spread = (a**2).sum(axis=1).mean()
     scale = float((singular * guard).sum() / spread) if with_scale else 1.0
     return rotation, fixed.mean(axis=0) - scale * moving.mean(axis=0) @ rotation.T, scale
+
+
+@dataclass(frozen=True)
+class SegmentLengths:
+    """Median lengths of segments that both tracks have, m.
+
+    `notes` says so where the bodies differ so much that they may be two persons.
+    """
+
+    names: tuple[str, ...]
+    result_m: tuple[float, ...]
+    reference_m: tuple[float, ...]
+    notes: tuple[str, ...] = ()
+
+
+def compare_segment_lengths(result: PoseTrack, reference: PoseTrack) -> SegmentLengths:
+    """Compare the bodies of two tracks, as a check that they show one person.
+
+    Parameters
+    ----------
+    result, reference
+        3D, in metres, at any times.
+    """
+    rows: list[tuple[str, float, float]] = []
+    for name, proximal, distal in BODY_SEGMENTS:
+        own = _segment_length(result, proximal, distal)
+        other = _segment_length(reference, proximal, distal)
+        if np.isfinite([own, other]).all() and other > 0:
+            rows.append((name, own, other))
+    ratios = [ours / theirs for name, ours, theirs in rows if name.endswith(LIMBS)]
+    notes: tuple[str, ...] = ()
+    if ratios and abs(np.mean(ratios) - 1.0) > OTHER_BODY:
+        word = "longer" if np.mean(ratios) > 1.0 else "shorter"
+        share = 100.0 * abs(np.mean(ratios) - 1.0)
+        note = (
+            f"The limbs of the result are {share:.0f} % {word} than those of the reference: is it "
+            "another person, or a wrong stature?"
+        )
+        notes = (note,)
+    return SegmentLengths(
+        names=tuple(name for name, _, _ in rows),
+        result_m=tuple(own for _, own, _ in rows),
+        reference_m=tuple(other for _, _, other in rows),
+        notes=notes,
+    )
+
+
+def _segment_length(track: PoseTrack, proximal: str, distal: str) -> float:
+    skeleton = get_skeleton(track.skeleton)
+    if not (skeleton.has(proximal) and skeleton.has(distal)):
+        return float("nan")
+    line = skeleton.point(track.position, distal) - skeleton.point(track.position, proximal)
+    length = np.linalg.norm(line, axis=1)
+    known = length[np.isfinite(length)]
+    return float(np.median(known)) if known.size else float("nan")

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from engine.datatypes import PoseTrack
 from engine.errors import ConfigError, DataError, ShapeError, UnitError
+from engine.skeletons import get_skeleton
 from engine.validation.resampling import resample_positions, shift_positions
-from engine.validation.spatial import align_positions
+from engine.validation.spatial import align_positions, compare_segment_lengths
 
 RNG = np.random.default_rng(3)
 BODY = RNG.normal(0.0, 0.5, (20, 17, 3))
@@ -102,3 +103,28 @@ def test_positions_at_other_times_lie_on_straight_lines():
 
 def test_a_track_can_be_shifted_in_time():
     assert shift_positions(track(BODY), 2.5).time_s[0] == 2.5
+
+
+def body(scale=1.0):
+    """Return a still body with known limbs, shape (3, 17, 3)."""
+    skeleton = get_skeleton("h36m_17")
+    position = np.full((3, 17, 3), np.nan)
+    for side, z in (("left", -0.1), ("right", 0.1)):
+        for joint, height in (("hip", 0.9), ("knee", 0.5), ("ankle", 0.1)):
+            position[:, skeleton.index(f"{side}_{joint}")] = (0.0, height, z)
+    return scale * position
+
+
+def test_segments_of_one_person_are_compared_without_a_word():
+    lengths = compare_segment_lengths(track(body()), track(body(1.05)))
+    assert "left_thigh" in lengths.names
+    assert "left_forearm" not in lengths.names
+    assert lengths.result_m[lengths.names.index("left_thigh")] == pytest.approx(0.4)
+    assert lengths.reference_m[lengths.names.index("left_thigh")] == pytest.approx(0.42)
+    assert lengths.notes == ()
+
+
+def test_another_person_is_suspected():
+    lengths = compare_segment_lengths(track(body(1.25)), track(body()))
+    assert "25 % longer" in lengths.notes[0]
+    assert compare_segment_lengths(track(body()), track(body() * np.nan)).names == ()
