@@ -24,7 +24,7 @@ from engine.kinematics.humanoid import (
     fit_residual,
 )
 
-__all__ = ["LOWER", "UPPER", "ClipSearch", "SearchPlan", "polish_clip", "search_clip"]
+__all__ = ["LOWER", "UPPER", "ClipSearch", "SearchPlan", "descend", "polish_clip", "search_clip"]
 
 LOWER, UPPER = np.array([variable.bounds for variable in VARIABLES]).T
 """Ranges of the variables: a ratio, then radians."""
@@ -265,10 +265,10 @@ def polish_clip(
     known = np.asarray(np.isfinite(targets).all(axis=2))
     weight = np.where(known, 1.0 if weights is None else weights, 0.0)
     goal = np.where(known[..., None], targets, 0.0)
-    best, cost = _descend(values, goal, weight, lengths, steps)
+    best, cost = descend(values, goal, weight, lengths, steps)
     for shift in (1, -1):
         start = np.roll(best, shift, axis=0)
-        other, other_cost = _descend(start, goal, weight, lengths, 2 * steps)
+        other, other_cost = descend(start, goal, weight, lengths, 2 * steps)
         improves = other_cost < cost
         best, cost = np.where(improves[:, None], other, best), np.minimum(cost, other_cost)
     return best
@@ -278,10 +278,27 @@ MIN_DISTANCE_M = 0.002
 """A joint this close to its target is weighed no higher still."""
 
 
-def _descend(
+def descend(
     start: Array, goal: Array, weight: Array, lengths: SegmentLengths, steps: int
 ) -> tuple[Array, Array]:
-    """Take damped least-squares steps in every frame; return values and their cost (T,)."""
+    """Take damped least-squares steps down the mean distance, in every frame.
+
+    Parameters
+    ----------
+    start
+        Shape (T, 21).
+    goal, weight
+        Shape (T, 12, 3), m, and (T, 12); a joint without weight may have any goal but NaN.
+    lengths
+        Segment lengths, m.
+    steps
+        How many; a step that does not lower the cost is not taken, and the next is shorter.
+
+    Returns
+    -------
+    tuple of Array
+        Values (T, 21) within the ranges, and the weighted sum of distances (T,), m.
+    """
     lower, upper = LOWER.copy(), UPPER.copy()
     lower[_HEADING], upper[_HEADING] = -np.inf, np.inf
     values = np.clip(start, lower, upper)
