@@ -33,8 +33,6 @@ LENGTH_STEPS = 3
 """Steps in which segment lengths are refined; they settle long before the angles do."""
 LIMIT_SIGMA = np.radians(3.0)
 LIMIT_MARGIN = np.radians(15.0)
-HINGE_MARGIN = np.radians(5.0)
-"""A straight knee or elbow may read as slightly over-stretched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,13 +102,16 @@ class Linearisation:
     """The problem around one state.
 
     `blocks` (T, n, n) and `gradient` (T, n) leave out the roughness; `data_blocks` is the part of
-    the blocks from the keypoints alone. `cost` (T,) is likewise without roughness; `misfit` (T,)
-    the squared distances in units of the squared standard errors, as the robust loss counts them.
+    the blocks from the keypoints alone, `prior_blocks` that of what is known beforehand, without
+    the limits of the joints: that a knee is straight tells nothing about how straight. `cost` (T,)
+    is likewise without roughness; `misfit` (T,) the squared distances in units of the squared
+    standard errors, as the robust loss counts them.
     """
 
     blocks: Array
     gradient: Array
     data_blocks: Array
+    prior_blocks: Array
     cost: Array
     misfit: Array
 
@@ -135,9 +136,11 @@ def linearise(problem: ClipProblem, state: Array) -> Linearisation:
     for start in range(0, n_frames, CHUNK):
         part = slice(start, min(start + CHUNK, n_frames))
         blocks[part], gradient[part], misfit[part] = _linearise_points(problem, state, part)
-    whole = blocks.copy()
-    cost = misfit + _add_priors(problem, state, whole, gradient)
-    return Linearisation(whole, gradient, blocks, cost, misfit)
+    prior = np.zeros_like(blocks)
+    cost = misfit + _add_priors(problem, state, prior, gradient)
+    whole = blocks + prior
+    cost += _add_limits(problem, state, whole, gradient)
+    return Linearisation(whole, gradient, blocks, prior, cost, misfit)
 
 
 def _linearise_points(
@@ -169,14 +172,20 @@ def _add_priors(problem: ClipProblem, state: Array, blocks: Array, gradient: Arr
     off = state - problem.prior_mean
     pull = problem.prior_weight * off
     cost = np.einsum("tn,tn->t", pull, off)
-    lower, upper = _soft_limits(problem)
-    excess = state - np.clip(state, lower, upper)
-    pull += excess / LIMIT_SIGMA**2
-    cost += np.einsum("tn,tn->t", excess, excess) / LIMIT_SIGMA**2
     diagonal = np.arange(state.shape[1])
-    blocks[:, diagonal, diagonal] += problem.prior_weight + (excess != 0.0) / LIMIT_SIGMA**2
+    blocks[:, diagonal, diagonal] += problem.prior_weight
     gradient += pull
     return np.asarray(cost + _add_waist_prior(problem, state, blocks, gradient))
+
+
+def _add_limits(problem: ClipProblem, state: Array, blocks: Array, gradient: Array) -> Array:
+    """Add what it costs to bend a joint beyond its range; return it, (T,)."""
+    lower, upper = _soft_limits(problem)
+    excess = state - np.clip(state, lower, upper)
+    diagonal = np.arange(state.shape[1])
+    blocks[:, diagonal, diagonal] += (excess != 0.0) / LIMIT_SIGMA**2
+    gradient += excess / LIMIT_SIGMA**2
+    return np.asarray(np.einsum("tn,tn->t", excess, excess) / LIMIT_SIGMA**2)
 
 
 def _add_waist_prior(problem: ClipProblem, state: Array, blocks: Array, gradient: Array) -> Array:
@@ -206,7 +215,7 @@ def _soft_limits(problem: ClipProblem) -> tuple[Array, Array]:
         variable = ANGLE_VARIABLES[place]
         low, high = variable.bounds
         is_hinge = variable.name.startswith(("theta_kn", "theta_el"))
-        lower[i] = low - (HINGE_MARGIN if is_hinge else LIMIT_MARGIN)
+        lower[i] = low - (0.0 if is_hinge else LIMIT_MARGIN)
         upper[i] = high + LIMIT_MARGIN
         if variable.name == "psi_bd" or "_sh_" in variable.name:
             # Full turns are no error; shoulders are given by rotation vectors.
@@ -398,7 +407,7 @@ def fit_frames(
 def _mix(chosen: NDArray[np.bool_], new: Linearisation, old: Linearisation) -> Linearisation:
     """Take chosen frames from `new`, the others from `old`."""
     parts = {}
-    for name in ("blocks", "gradient", "data_blocks", "cost", "misfit"):
+    for name in ("blocks", "gradient", "data_blocks", "prior_blocks", "cost", "misfit"):
         a, b = getattr(new, name), getattr(old, name)
         parts[name] = np.where(chosen.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
     return Linearisation(**parts)

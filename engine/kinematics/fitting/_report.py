@@ -31,7 +31,9 @@ from engine.skeletons import Skeleton, get_skeleton
 __all__ = ["ANGLES", "REQUIRED", "read_angles"]
 
 ALIKE_AFTER_S = 0.1
-SLOW_FLOOR = 0.0
+SLOW_GAIN = 1.4
+"""The fit follows slow errors, so the residuals show less of them than there is."""
+ALL_SLOW = 0.9
 LOCAL_WINDOW_S = 0.5
 PRIOR_FREEDOM = 60.0
 """How many residuals the clip's own scale counts for against those around one frame."""
@@ -186,31 +188,36 @@ def _find_variance(
     time_s: Array, fit: ClipFit, pose: Array, bridged: NDArray[np.bool_]
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return the variance of every angle, rad^2, and where it was not seen; shape (A, T)."""
-    problem, around = fit.problem, fit.around
-    scale = _find_scale(time_s, fit)
-    prior = around.blocks - around.data_blocks
-    information = around.data_blocks / scale[:, None, None] + prior
-    alone = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    own, hidden = _variance_of_angles(fit, pose, alone)
     slow = _find_slow_share(time_s, fit)
-    if slow > 0.9 and not bridged.any():
+    linked = _link_frames(fit) if slow < ALL_SLOW or bridged.any() else None
+    scale = _find_scale(time_s, fit, slow, linked)
+    around = fit.around
+    alone = np.linalg.inv(around.data_blocks / scale[:, None, None] + around.prior_blocks)
+    own, hidden = _variance_of_angles(fit, pose, np.asarray(alone, dtype=np.float64))
+    if linked is None:
         return own, hidden
-    factor = factorise(information, problem.roughness)
-    if factor is None:
-        return own, hidden
-    linked, hidden_linked = _variance_of_angles(fit, pose, factor.invert_blocks())
-    total = slow * own + (1.0 - slow) * linked
-    for name in _FROM_ASSUMPTION:
-        i = ANGLES.index(name)
-        total[i] = own[i]
-    return (
-        np.where(bridged.T, _near(own, bridged.T, time_s) + linked, total),
-        np.where(bridged.T, hidden_linked, hidden),
-    )
+    smooth, hidden_smooth = _variance_of_angles(fit, pose, linked * scale[:, None, None])
+    total = slow * own + (1.0 - slow) * smooth
+    lasting = [ANGLES.index(name) for name in _FROM_ASSUMPTION]
+    total[lasting] = own[lasting]
+    gap = bridged.T
+    total = np.where(gap, _near(own, gap, time_s) + smooth, total)
+    return total, np.where(gap, hidden_smooth, hidden)
 
 
-_FROM_ASSUMPTION = ("pelvis_tilt", "lumbar_flexion", "hip_flexion_l", "hip_flexion_r")
-"""Angles whose error is mostly that of the assumed share of the waist, which lasts."""
+def _link_frames(fit: ClipFit) -> Array | None:
+    """Return the covariance of every frame's unknowns if all errors were quick; (T, n, n)."""
+    blocks = fit.around.data_blocks + fit.around.prior_blocks
+    factor = factorise(blocks, fit.problem.roughness)
+    return None if factor is None else factor.invert_blocks()
+
+
+_FROM_ASSUMPTION = (
+    "pelvis_tilt",
+    "lumbar_flexion",
+    *(f"hip_{motion}_{side}" for motion in ("flexion", "rotation") for side in ("l", "r")),
+)
+"""Angles whose error is mostly that of what is assumed of waist and feet, which lasts."""
 
 
 def _near(own: Array, bridged: NDArray[np.bool_], time_s: Array) -> Array:
@@ -222,13 +229,19 @@ def _near(own: Array, bridged: NDArray[np.bool_], time_s: Array) -> Array:
     return result
 
 
-def _find_scale(time_s: Array, fit: ClipFit) -> Array:
+def _find_scale(time_s: Array, fit: ClipFit, slow: float, linked: Array | None) -> Array:
     """Return by how much the squared residuals exceed what was stated, around every frame.
 
     Never below one: errors that the whole figure shares can't be seen in the residuals.
     """
     n_seen = (fit.problem.weight > 0).sum(axis=0)
-    freedom = np.maximum(3.0 * n_seen - fit.state.shape[1], 0.0) + 0.25 * n_seen
+    # Every unknown takes its share out of the residuals: all of it from slow errors, less from
+    # quick ones, because the unknowns of neighbouring frames hang together.
+    data = fit.around.data_blocks
+    taken = np.einsum("tij,tji->t", data, np.linalg.inv(fit.around.blocks))
+    if linked is not None:
+        taken = slow * taken + (1.0 - slow) * np.einsum("tij,tji->t", data, linked)
+    freedom = np.maximum(3.0 * n_seen - taken, 0.25 * n_seen)
     misfit = fit.around.misfit
     if freedom.sum() <= 0:
         return np.ones(time_s.size)
@@ -258,7 +271,7 @@ def _find_slow_share(time_s: Array, fit: ClipFit) -> float:
     if power <= 0.0:
         return 1.0
     alike = float(np.sum(residual[..., :-lag] * residual[..., lag:])) / power
-    return float(np.clip(alike, SLOW_FLOOR, 1.0))
+    return float(np.clip(SLOW_GAIN * alike, 0.0, 1.0))
 
 
 def _variance_of_angles(

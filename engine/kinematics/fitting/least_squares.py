@@ -68,6 +68,8 @@ REFINED_LENGTHS = (
     "forearm",
 )
 MIN_POINTS = 4
+MIN_CHANGES = 100
+MIN_QUICK_SHARE = 1e-3
 MAX_DISTANCE_M = 50.0
 """Keypoints further from the world's origin are no measurement."""
 BAD_FIT_M = 0.05
@@ -191,17 +193,20 @@ def _pose_problem(
     angles = guess_angles(points, time_s, waist_share=settings.waist_share)
     start = np.concatenate([guess_root(points, time_s), angles[list(tree.variables)]]).T
     target = np.stack([points[name].T for name in tree.points])
-    mean, weight = _make_priors(tree, start)
+    mean, prior_weight = _make_priors(tree, start)
+    weight = _weigh(track, tree.points, np.asarray(np.isfinite(target).all(axis=1)))
+    # Smoothing is only worth what quick noise costs; errors that last are no smoother for it.
+    rough = _roughness_weight(tree, time_s.size, settings) * _find_quick_share(target, weight)
     pitch = angles[0] + angles[3]
     waist_variance = np.radians(WAIST_FLOOR_DEG) ** 2 + (settings.waist_sigma * pitch) ** 2
     problem = ClipProblem(
         tree=tree,
         target=np.nan_to_num(target),
-        weight=_weigh(track, tree.points, np.asarray(np.isfinite(target).all(axis=1))),
+        weight=weight,
         lengths=lengths.as_dict(),
-        roughness=make_roughness(time_s, _roughness_weight(tree, time_s.size, settings)),
+        roughness=make_roughness(time_s, rough),
         prior_mean=mean,
-        prior_weight=weight,
+        prior_weight=prior_weight,
         waist_share=settings.waist_share,
         waist_weight=1.0 / waist_variance,
         huber=settings.huber,
@@ -223,6 +228,20 @@ def _weigh(track: PoseTrack, points: tuple[str, ...], seen: NDArray[np.bool_]) -
     sigma = np.where(np.isfinite(stated) & (stated > 0), stated, UNKNOWN_SIGMA_M)
     figure = np.array([SPINE_SIGMA_M if n == "spine" else FIGURE_SIGMA_M for n in points])
     return np.asarray(seen / (sigma**2 + figure[:, None] ** 2))
+
+
+def _find_quick_share(target: Array, weight: Array) -> float:
+    """Return the share of the stated variance that changes from frame to frame.
+
+    Seen in the third differences of the keypoints, in which movement hardly shows: for white
+    noise their variance is 20 times that of the noise.
+    """
+    change = np.diff(target, n=3, axis=2) * np.sqrt(weight[:, None, 3:])
+    known = np.abs(change[np.isfinite(change) & (change != 0.0)])
+    if known.size < MIN_CHANGES:
+        return 1.0
+    quick = 1.4826 * float(np.median(known)) / np.sqrt(20.0)
+    return float(np.clip(quick**2, MIN_QUICK_SHARE, 1.0))
 
 
 def _make_priors(tree: Tree, start: Array) -> tuple[Array, Array]:

@@ -223,8 +223,11 @@ def test_the_clip_fit_ends_in_a_minimum():
 
 def test_without_roughness_both_fits_agree():
     problem, start = make_problem(5, smooth=1e-12)
-    together = fit_clip(problem, start).state
-    np.testing.assert_allclose(fit_frames(problem, start).state, together, atol=0.03)
+    together, alone = fit_clip(problem, start), fit_frames(problem, start)
+    assert alone.cost == pytest.approx(together.cost, rel=0.01)
+    # Knees are well seen; the turn of an arm with a nearly straight elbow is not.
+    knee = problem.unknown("theta_kn_l")
+    np.testing.assert_allclose(alone.state[:, knee], together.state[:, knee], atol=0.01)
 
 
 def test_refined_lengths_lower_the_cost():
