@@ -76,7 +76,8 @@ def result(trial_id: str) -> StoredResult:
 
 
 @st.cache_resource(max_entries=8, show_spinner=False)
-def _read_result(folder: str, _stamp_ns: int) -> StoredResult:
+def _read_result(folder: str, stamp_ns: int) -> StoredResult:
+    # Streamlit leaves arguments with a leading underscore out of the key.
     return read_result(Path(folder))
 
 

@@ -38,3 +38,5 @@ with provenance:
 
 st.subheader("Take it with you", anchor=False)
 trial_parts.show_downloads(result)
+if st.button("Compare with a reference recording", icon=":material/compare_arrows:"):
+    st.switch_page(pages.REFERENCE, query_params=state.trial_parameters(trial_id))
