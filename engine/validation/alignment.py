@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array, JointAngles, frozen_array
 from engine.errors import ConfigError, DataError, ShapeError, UnitError
+from engine.validation.curves import wrap_deg
 from engine.validation.lag_search import (
     GRID_HZ,
     EvenCurves,
@@ -29,7 +30,7 @@ from engine.validation.lag_search import (
     resample_evenly,
     search_lags,
 )
-from engine.validation.resampling import resample_angles, wrap_deg
+from engine.validation.resampling import resample_angles
 
 __all__ = [
     "OffsetMethod",
@@ -107,7 +108,7 @@ class PairedAngles:
 
     time_s: Array
     names: tuple[str, ...]
-    result_deg: Array
+    estimated_deg: Array
     reference_deg: Array
     offset_deg: Array
     offset_method: OffsetMethod
@@ -115,16 +116,16 @@ class PairedAngles:
 
     def __post_init__(self) -> None:
         shape = (np.asarray(self.time_s).shape[0], len(self.names))
-        for name in ("time_s", "result_deg", "reference_deg", "offset_deg", "sigma_deg"):
+        for name in ("time_s", "estimated_deg", "reference_deg", "offset_deg", "sigma_deg"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
-        for name in ("result_deg", "reference_deg", "sigma_deg"):
+        for name in ("estimated_deg", "reference_deg", "sigma_deg"):
             if getattr(self, name).shape != shape:
                 raise ShapeError(f"{name} needs shape {shape}, got {getattr(self, name).shape}.")
 
     @property
     def difference_deg(self) -> Array:
         """Result minus reference, -180 to 180, shape (T, A)."""
-        return wrap_deg(self.result_deg - self.reference_deg)
+        return wrap_deg(self.estimated_deg - self.reference_deg)
 
     @property
     def error_deg(self) -> Array:
@@ -388,7 +389,7 @@ def pair_angles(
     return PairedAngles(
         time_s=time,
         names=common,
-        result_deg=own,
+        estimated_deg=own,
         reference_deg=other,
         offset_deg=_offsets(own - other, window, offset),
         offset_method=offset,

@@ -8,24 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from engine.datatypes import Array, JointAngles, PoseTrack
+from engine.validation.curves import unwrap_deg
 
-__all__ = ["resample_angles", "resample_positions", "shift_positions", "swap_sides", "wrap_deg"]
+__all__ = ["resample_angles", "resample_positions", "shift_positions", "swap_sides"]
 
 MAX_GAP_S = 0.1
 """Longer gaps stay gaps when curves are brought to other times."""
-
-
-def wrap_deg(angle: Array) -> Array:
-    """Bring angles to -180 to 180 degrees."""
-    return np.asarray((angle + 180.0) % 360.0 - 180.0)
-
-
-def _unwrap(curve: Array) -> Array:
-    """Undo jumps of a full turn, across gaps too; shape (T,), degrees."""
-    known = np.isfinite(curve)
-    result = np.array(curve)
-    result[known] = np.unwrap(curve[known], period=360.0)
-    return result
 
 
 def _interpolate(time_s: Array, curve: Array, wanted_s: Array, *, max_gap_s: float) -> Array:
@@ -71,7 +59,7 @@ def resample_angles(
     """
     limit = _gap_limit(angles.time_s, max_gap_s)
     kept = angles.names if names is None else tuple(names)
-    value = [_unwrap(angles[name]) for name in kept]
+    value = [unwrap_deg(angles[name], np.isfinite(angles[name])) for name in kept]
     sigma = [angles.sigma(name) for name in kept]
     value, sigma = (
         [_interpolate(angles.time_s, curve, time_s, max_gap_s=limit) for curve in curves]

@@ -198,7 +198,7 @@ def test_a_gap_in_the_reference_stays_a_gap():
     pairs = pair_angles(record(), broken)
     inside = (pairs.time_s > 2.995) & (pairs.time_s < 3.995)
     assert np.isnan(pairs.error_deg[inside]).all()
-    assert np.isnan(pairs.result_deg[inside]).all()
+    assert np.isnan(pairs.estimated_deg[inside]).all()
     assert np.isfinite(pairs.error_deg[~inside]).all()
 
 
