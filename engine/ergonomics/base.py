@@ -33,7 +33,10 @@ class MethodInfo:
     """What a user should know of a method.
 
     `verification` is `V2` (two independent sources agree), `V1` (single source) or `R`
-    (not checked against the publication: experimental, off by default).
+    (not checked against the publication: experimental, off by default). `value_name` is what the
+    headline number is called, `decimals` how many a reader should see (None: as many as its
+    band needs). Flags need no action up to the first of `flag_limits` and are urgent above the
+    second; without them these are the end of the first level and the begin of the last.
     """
 
     name: str
@@ -43,6 +46,9 @@ class MethodInfo:
     levels: tuple[RiskLevel, ...]
     required_angles: tuple[str, ...] = ()
     description: str = ""
+    value_name: str = ""
+    decimals: int | None = None
+    flag_limits: tuple[float, float] | None = None
 
     @property
     def is_experimental(self) -> bool:

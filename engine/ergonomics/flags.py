@@ -42,6 +42,15 @@ _DRIVER_TEXT: Mapping[str, str] = {
     "FM": "lifting frequency and duration",
     "CM": "coupling",
 }
+_ADVICE: Mapping[str, str] = {
+    "trunk": "Bring the work higher and closer, so that the trunk stays upright",
+    "upper arms": "Bring the work closer or lower, so that the upper arms hang down",
+    "legs": "Bring the work higher, so that the knees need not bend",
+    "neck": "Bring what must be seen to where the head stays upright",
+    "lower arms": "Set the height of the work so that the elbows are bent at about a right angle",
+}
+_MOMENTS = "worst_moments"
+"""Key of `details` in results of methods that score every frame."""
 MAX_DRIVERS = 2
 DRIVER_BELOW = 0.95
 
@@ -77,12 +86,14 @@ def raise_flags(
     if not lifts:
         flags.append(_flag_no_lifts())
     infos = {method.info.name: method.info for method in list_methods()}
+    judged: list[Flag] = []
     for result in risk.values():
         # Without lifts the flag above says it once, instead of every lifting method again.
         if not lifts and not result.is_applicable:
             continue
         for part in result.per_lift or (result,):
-            flags.append(_flag_result(part, infos.get(part.method), lifts, low))
+            judged.append(_flag_result(part, infos.get(part.method), lifts, low))
+    flags += [*judged, *_flag_disagreement(risk, judged, infos)]
     return tuple(sorted(flags, key=_sort_key))
 
 
@@ -123,6 +134,34 @@ def _flag_no_lifts() -> Flag:
     )
 
 
+def _flag_disagreement(
+    risk: Mapping[str, RiskResult], flags: Sequence[Flag], infos: Mapping[str, MethodInfo]
+) -> Iterator[Flag]:
+    """Say that methods disagree, instead of averaging it away: one urgent, another content."""
+    worst: dict[str, FlagLevel] = {}
+    for flag in flags:
+        if risk[flag.method].is_applicable and not math.isnan(risk[flag.method].value):
+            level = worst.get(flag.method, FlagLevel.OK)
+            worst[flag.method] = min(level, flag.level, key=lambda x: _URGENCY[x])
+    high, fine = (
+        [_name_verdict(risk[name], infos.get(name)) for name, level in worst.items() if level is x]
+        for x in (FlagLevel.HIGH, FlagLevel.OK)
+    )
+    if high and fine:
+        yield Flag(
+            level=FlagLevel.REVIEW,
+            what="The methods disagree",
+            why=f"{', '.join(high)} call for action at once; {', '.join(fine)} for none. They look "
+            "at different things (posture, load, repetition), so neither settles the other.",
+            method="disagreement",
+            change="Let a professional weigh what each method looks at for this job.",
+        )
+
+
+def _name_verdict(result: RiskResult, info: MethodInfo | None) -> str:
+    return f"{_name_value(result, info)} ({result.category})"
+
+
 # --------------------------------------------------------------------------- one result
 
 
@@ -133,6 +172,7 @@ class _Limits:
     low: float
     high: float
     bounds: tuple[float, ...] = ()
+    decimals: int | None = None
 
 
 def _flag_result(
@@ -141,16 +181,25 @@ def _flag_result(
     level, what, why, change = _judge(result, info, low_coverage)
     index = result.lift_index
     lift = lifts[index] if index is not None and index < len(lifts) else None
+    start_s, end_s = _find_window(result, lift)
     return Flag(
         level=level,
         what=what if index is None else f"Lift {index + 1}: {what}",
         why=why,
         method=result.method,
-        start_s=math.nan if lift is None else lift.start_s,
-        end_s=math.nan if lift is None else lift.end_s,
+        start_s=start_s,
+        end_s=end_s,
         change=change,
         lift_index=index,
     )
+
+
+def _find_window(result: RiskResult, lift: Lift | None) -> tuple[float, float]:
+    """Return when to look: the lift, or the worst moment of a method that scores every frame."""
+    if lift is not None:
+        return lift.start_s, lift.end_s
+    moments = result.details.get(_MOMENTS, ())
+    return (moments[0]["start_s"], moments[0]["end_s"]) if moments else (math.nan, math.nan)
 
 
 def _judge(
@@ -168,12 +217,17 @@ def _judge(
     limits = _read_limits(info)
     doubts = _find_doubts(result, limits, low_coverage)
     level = _find_level(result.value, limits, has_doubts=bool(doubts))
-    why = " ".join((_describe_value(result, limits), *map(_sentence, doubts)))
+    value = (
+        _describe_frames(result, info, limits)
+        if info is not None and _MOMENTS in result.details
+        else _describe_value(result, limits)
+    )
+    why = " ".join((value, *map(_sentence, doubts)))
     if level is FlagLevel.OK:
         why = " ".join((why, *result.details.get("assumptions", ())))
     is_raised = max(result.value, _upper(result)) > limits.low
     change = _describe_change(result) if is_raised else ""
-    return level, f"{_name_value(result)}, {result.category}", why, change
+    return level, f"{_name_value(result, info)}, {result.category}", why, change
 
 
 def _read_limits(info: MethodInfo | None) -> _Limits:
@@ -181,7 +235,8 @@ def _read_limits(info: MethodInfo | None) -> _Limits:
     if info is None or len(info.levels) < 2:
         return _Limits(math.inf, math.inf)
     bounds = tuple(level.upper for level in info.levels[:-1])
-    return _Limits(bounds[0], bounds[-1], bounds)
+    low, high = info.flag_limits or (bounds[0], bounds[-1])
+    return _Limits(low, high, bounds, info.decimals)
 
 
 def _find_level(value: float, limits: _Limits, *, has_doubts: bool) -> FlagLevel:
@@ -197,9 +252,10 @@ def _upper(result: RiskResult) -> float:
 
 def _find_doubts(result: RiskResult, limits: _Limits, low_coverage: str | None) -> list[str]:
     """List what keeps a result from being `ok` whatever its value."""
+    crossed = limits.bounds if _MOMENTS in result.details else (limits.low, limits.high)
     doubts = [
-        f"the interval crosses the limit {limit:.1f}"
-        for limit in (limits.low, limits.high)
+        f"the interval crosses the limit {_format_limit(limit, limits)}"
+        for limit in crossed
         if result.interval[0] <= limit < result.interval[1]
     ]
     dominant = result.details.get("dominant_input")
@@ -227,15 +283,22 @@ def _is_rnle(result: RiskResult) -> bool:
     return result.method == RNLE.info.name
 
 
-def _name_value(result: RiskResult) -> str:
-    name = "lifting index" if _is_rnle(result) else result.method
-    return f"{name} {_format_value(result.value, _RNLE_LIMITS)}{result.unit and ' ' + result.unit}"
+def _name_value(result: RiskResult, info: MethodInfo | None) -> str:
+    name = "lifting index" if _is_rnle(result) else (info and info.value_name) or result.method
+    limits = _RNLE_LIMITS if info is None else _read_limits(info)
+    return f"{name} {_format_value(result.value, limits)}{result.unit and ' ' + result.unit}"
+
+
+def _format_limit(limit: float, limits: _Limits) -> str:
+    return f"{limit:.{1 if limits.decimals is None else limits.decimals}f}"
 
 
 def _format_value(value: float, limits: _Limits) -> str:
     """Write with as few decimals as keep the value in its band."""
     if math.isinf(value):
         return "infinite"
+    if limits.decimals is not None:
+        return f"{value:.{limits.decimals}f}"
     for digits in (1, 2, 3):
         text = f"{value:.{digits}f}"
         if all((float(text) > x) == (value > x) for x in limits.bounds):
@@ -272,6 +335,20 @@ def _describe_value(result: RiskResult, limits: _Limits) -> str:
     text = f"{value} ({sure}) is {side} {owner}{limit:.1f}."
     drivers = _find_drivers(result)
     return f"{text} What lowers the recommended weight most: {drivers}." if drivers else text
+
+
+def _describe_frames(result: RiskResult, info: MethodInfo, limits: _Limits) -> str:
+    """State score, interval, worst moment and time at that level of a method that scores frames."""
+    low, high = (_format_value(x, limits) for x in result.interval)
+    sure = "no interval known" if low == "nan" else f"about 95 % interval {low} to {high}"
+    band = next(level for level in info.levels if result.value <= level.upper)
+    text = f"{_format_value(result.value, limits)} ({sure}): {band.meaning}; action: {band.action}."
+    moment = result.details[_MOMENTS][0]
+    text += f" Worst at {moment['peak_s']:.1f} s: {moment['posture']}."
+    for row in result.details["levels"]:
+        if row["name"] == moment["level"]:
+            text += f" At this level for {row['time_s']:.1f} s ({100 * row['share']:.0f} %)."
+    return text
 
 
 def _find_drivers(result: RiskResult) -> str:
@@ -353,7 +430,7 @@ def _list_height_changes(
 
 def _describe_change(result: RiskResult) -> str:
     if not _is_rnle(result):
-        return ""
+        return _describe_posture_change(result)
     case = read_case(result.details)
     rwl, index = govern(case)
     best = find_best_change(case)
@@ -370,3 +447,14 @@ def _describe_change(result: RiskResult) -> str:
             else "As the lift is, no load keeps to the limit; its layout must change."
         )
     return " ".join(parts)
+
+
+def _describe_posture_change(result: RiskResult) -> str:
+    """Name the part of the body whose neutral posture would lower the score most."""
+    drivers = result.details.get("drivers", ())
+    advice = next((_ADVICE[d["part"]] for d in drivers if d["part"] in _ADVICE), None)
+    if advice is None:
+        return ""
+    first = next(d for d in drivers if d["part"] in _ADVICE)
+    after = first["score_without"]
+    return f"{advice}: the worst score would be {after} instead of {after + first['falls_by']}."

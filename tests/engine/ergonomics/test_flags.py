@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from engine.datatypes import FlagLevel, RiskResult
@@ -11,6 +13,7 @@ from engine.ergonomics.assess import assess_risk
 from engine.ergonomics.flags import find_best_change, raise_flags
 from engine.ergonomics.lifting_equation import Duration, LiftCase, LiftPoint, govern
 from tests.engine.ergonomics.exposures import OCCASIONAL, build_exposure, build_lift
+from tests.engine.ergonomics.postures import build_posture
 
 SEEN = {"measured": 0.95, "filled": 0.05}
 EASY = {"origin": (30.0, 60.0, 0.0), "destination": (30.0, 90.0, 0.0)}
@@ -18,7 +21,7 @@ EASY = {"origin": (30.0, 60.0, 0.0), "destination": (30.0, 90.0, 0.0)}
 
 def flags_of(*lifts, coverage=SEEN, conditions=(), **changes):
     exposure = build_exposure(*lifts, conditions=conditions, **{**OCCASIONAL, **changes})
-    return raise_flags(assess_risk(exposure), lifts, coverage)
+    return raise_flags(assess_risk(exposure, methods=("rnle",)), lifts, coverage)
 
 
 def only_flag(*lifts, **changes):
@@ -195,3 +198,62 @@ class TestChange:
         # HM from 0.625 to 0.833.
         assert "10 cm closer to the body: lifting index 1.4 -> 1.1, still above 1.0" in flag.change
         assert "at most 10.5 kg" in flag.change
+
+
+def posture_flags(load_kg=12.0, coverage=SEEN, methods=("reba",), **angles):
+    lift = build_lift(start_s=0.5)
+    exposure = build_posture(lift, load_kg=load_kg, **angles)
+    return raise_flags(assess_risk(exposure, methods=methods), (lift,), coverage)
+
+
+class TestPostureFlags:
+    def test_one_flag_for_the_trial_with_its_worst_moment(self):
+        bend = np.zeros(60)
+        bend[20:40] = 70.0
+        (flag,) = posture_flags(load_kg=3.0, trunk_flexion=bend)
+        assert flag.lift_index is None
+        assert (flag.start_s, flag.end_s) == (0.667, 1.333)
+        assert "trunk 70 deg forward" in flag.why
+        assert "At this level for 0.7 s (33 %)" in flag.why
+        assert "trunk stays upright: the worst score would be" in flag.change
+
+    def test_the_score_is_a_whole_number_with_its_published_action(self):
+        (flag,) = posture_flags(trunk_flexion=70.0)
+        assert flag.what.startswith("REBA score ")
+        assert "." not in flag.what.split(",")[0]
+        assert "action: necessary" in flag.why
+
+    def test_low_coverage_and_wide_errors_are_never_ok(self):
+        easy = {"load_kg": 1.0, "methods": ("owas",)}
+        (flag,) = posture_flags(**easy)
+        assert flag.level is FlagLevel.OK
+        assert "safe" not in f"{flag.what} {flag.why}".lower()
+        assert posture_flags(**easy, coverage={"measured": 0.5})[0].level is FlagLevel.REVIEW
+        (flag,) = posture_flags(**easy, trunk_flexion=18.0, sigma=5.0)
+        assert flag.level is FlagLevel.REVIEW
+        assert "interval crosses the limit 1" in flag.why
+
+    def test_last_level_is_high(self):
+        flags = posture_flags(
+            methods=("rula",), trunk_flexion=70.0, trunk_twist=20.0, arms=100.0, elbows=0.0
+        )
+        assert flags[0].level is FlagLevel.HIGH
+        assert "change immediately" in flags[0].why
+
+    def test_a_design_standard_is_never_an_alarm(self):
+        (flag,) = posture_flags(
+            methods=("posture_zones",), trunk_flexion=70.0, frequency_per_min=5.0
+        )
+        assert "not acceptable" in flag.what
+        assert flag.level is FlagLevel.REVIEW
+
+    def test_disagreement_is_shown(self):
+        posture = build_posture(build_lift(**EASY), **{**OCCASIONAL, "load_kg": 5.0})
+        risk = assess_risk(posture, methods=("rnle", "rula"))
+        assert not [f for f in raise_flags(risk, posture.lifts, SEEN) if f.method == "disagreement"]
+        rula = dataclasses.replace(risk["rula"], value=7.0, interval=(7.0, 7.0))
+        flags = raise_flags({**risk, "rula": rula}, posture.lifts, SEEN)
+        (flag,) = [f for f in flags if f.method == "disagreement"]
+        assert flag.level is FlagLevel.REVIEW
+        assert "RULA score 7" in flag.why
+        assert "lifting index" in flag.why
