@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from engine.datatypes import Array
 from engine.kinematics.fitting._banded import BandedFactor, Roughness, factorise
 from engine.kinematics.humanoid.model import ANGLE_COUNT, ANGLE_VARIABLES, column
-from engine.kinematics.humanoid.tree import Tree
+from engine.kinematics.humanoid.tree import Posture, Tree
 
 __all__ = ["ClipFit", "ClipProblem", "Linearisation", "fit_clip", "fit_frames", "linearise"]
 
 ROOT = 3
 """Unknowns of a frame before the angles: the mid-hip."""
-CHUNK = 128
+CHUNK = 256
 """Frames worked on at once: their derivatives stay in the processor's cache."""
 MAX_STEP_RAD = 0.7
 MAX_DAMPING = 1e6
 GAIN_TOLERANCE = 1e-4
 """A step that lowers the cost by less than this share moves no angle by a tenth of its error."""
-LENGTH_STEPS = 3
+LENGTH_STEPS = 2
 """Steps in which segment lengths are refined; they settle long before the angles do."""
 LIMIT_SIGMA = np.radians(3.0)
 LIMIT_MARGIN = np.radians(15.0)
@@ -98,6 +98,19 @@ class ClipProblem:
 
 
 @dataclass(frozen=True, eq=False)
+class LengthTerms:
+    """How the problem depends on L segment lengths.
+
+    `coupling` (T, n, L) links them with the unknowns of every frame; `block` (L, L) and `gradient`
+    (L,) are their own.
+    """
+
+    coupling: Array
+    block: Array
+    gradient: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """The problem around one state.
 
@@ -114,6 +127,7 @@ class Linearisation:
     prior_blocks: Array
     cost: Array
     misfit: Array
+    by_length: LengthTerms
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,43 +142,63 @@ class ClipFit:
     has_converged: bool
 
 
-def linearise(problem: ClipProblem, state: Array) -> Linearisation:
-    """Compute cost, gradient and Gauss-Newton blocks at a state of shape (T, n)."""
+def linearise(
+    problem: ClipProblem, state: Array, length_names: tuple[str, ...] = ()
+) -> Linearisation:
+    """Compute cost, gradient and Gauss-Newton blocks at a state of shape (T, n).
+
+    With `length_names` also how the keypoints' part depends on these segment lengths.
+    """
     n_frames, n = state.shape
+    count = len(length_names)
     blocks, gradient = np.empty((n_frames, n, n)), np.empty((n_frames, n))
     misfit = np.empty(n_frames)
+    by_length = LengthTerms(
+        np.empty((n_frames, n, count)), np.zeros((count, count)), np.zeros(count)
+    )
     for start in range(0, n_frames, CHUNK):
         part = slice(start, min(start + CHUNK, n_frames))
-        blocks[part], gradient[part], misfit[part] = _linearise_points(problem, state, part)
+        posture = problem.tree.place(problem.spread(state[part]), problem.lengths)
+        residual = posture.points + state[part, :ROOT].T - problem.target[:, :, part]
+        pull, misfit[part] = _weigh_residuals(problem, residual, part)
+        rows = _weighted_rows(problem, posture, pull, n)
+        pulled = (residual * pull[:, None, :]).reshape(-1, residual.shape[2]).T
+        gradient[part] = (rows @ pulled[..., None])[..., 0]
+        blocks[part] = rows @ rows.transpose(0, 2, 1)
+        if count:
+            slope = problem.tree.differentiate_lengths(posture, length_names)
+            slope *= pull[:, None, None, :]
+            columns = slope.reshape(-1, count, slope.shape[3]).transpose(2, 0, 1)
+            columns = np.ascontiguousarray(columns)
+            by_length.coupling[part] = rows @ columns
+            by_length.block[:] += np.tensordot(columns, columns, axes=([0, 1], [0, 1]))
+            by_length.gradient[:] += np.tensordot(columns, pulled, axes=([0, 1], [0, 1]))
     prior = np.zeros_like(blocks)
     cost = misfit + _add_priors(problem, state, prior, gradient)
     whole = blocks + prior
     cost += _add_limits(problem, state, whole, gradient)
-    return Linearisation(whole, gradient, blocks, prior, cost, misfit)
+    return Linearisation(whole, gradient, blocks, prior, cost, misfit, by_length)
 
 
-def _linearise_points(
-    problem: ClipProblem, state: Array, part: slice
-) -> tuple[Array, Array, Array]:
-    """Return blocks, gradient and misfit of the keypoints of some frames."""
-    posture = problem.tree.place(problem.spread(state[part]), problem.lengths)
-    residual = posture.points + state[part, :ROOT].T - problem.target[:, :, part]
+def _weigh_residuals(problem: ClipProblem, residual: Array, part: slice) -> tuple[Array, Array]:
+    """Return the root of every point's weight, (P, T), and the misfit of every frame."""
     weight = problem.weight[:, part]
     distance = np.sqrt(weight * np.einsum("pct,pct->pt", residual, residual))
     is_far = distance > problem.huber
     loss = np.where(is_far, problem.huber * (2.0 * distance - problem.huber), distance**2)
-    pull = np.sqrt(weight * np.where(is_far, problem.huber / np.maximum(distance, 1e-9), 1.0))
-    n_points, _, n_frames = residual.shape
-    n = state.shape[1]
+    share = np.where(is_far, problem.huber / np.maximum(distance, 1e-9), 1.0)
+    return np.sqrt(weight * share), loss.sum(axis=0)
+
+
+def _weighted_rows(problem: ClipProblem, posture: Posture, pull: Array, n: int) -> Array:
+    """Return the weighted derivatives of all coordinates by the unknowns, (T, n, 3 P)."""
+    n_points, _, n_frames = posture.points.shape
     jacobian = np.zeros((n_points, 3, n, n_frames))
     for axis in range(3):
         jacobian[:, axis, axis] = 1.0
     jacobian[:, :, ROOT:] = problem.tree.differentiate(posture, problem.variables)
     jacobian *= pull[:, None, None, :]
-    rows = np.ascontiguousarray(jacobian.reshape(-1, n, n_frames).transpose(2, 1, 0))
-    pulled = (residual * pull[:, None, :]).reshape(-1, n_frames).T
-    gradient = (rows @ pulled[..., None])[..., 0]
-    return rows @ rows.transpose(0, 2, 1), gradient, loss.sum(axis=0)
+    return np.ascontiguousarray(jacobian.reshape(-1, n, n_frames).transpose(2, 1, 0))
 
 
 def _add_priors(problem: ClipProblem, state: Array, blocks: Array, gradient: Array) -> Array:
@@ -250,15 +284,15 @@ def fit_clip(
         With the refined lengths in its problem. The cost never rises from step to step.
     """
     state, damping = np.array(start), 0.0
-    around = linearise(problem, state)
     lengths = _LengthStep(refine_lengths or {}, problem.lengths)
+    around = linearise(problem, state, lengths.names)
     cost = _total_cost(problem, around, state)
     has_converged = False
     for iteration in range(1, max_iterations + 1):
         step, changed = _clip_step(problem, around, state, damping, lengths)
         trial = replace(problem, lengths=changed) if changed else problem
         new_state = state + step
-        new = linearise(trial, new_state)
+        new = linearise(trial, new_state, lengths.names if iteration < LENGTH_STEPS else ())
         new_cost = _total_cost(trial, new, new_state) + lengths.cost(trial.lengths)
         gain = cost - new_cost
         if not gain >= -1e-9 * cost:
@@ -301,7 +335,7 @@ def _clip_step(
     downhill = -(around.gradient + problem.roughness.apply(state))
     if not lengths.is_free:
         return _limit(factor.solve(downhill)), {}
-    return lengths.solve(problem, state, factor, downhill)
+    return lengths.solve(problem, around.by_length, factor, downhill)
 
 
 def _limit(step: Array) -> Array:
@@ -325,17 +359,18 @@ class _LengthStep:
         return np.asarray(np.array([lengths[name] for name in self.names]) - self._centre)
 
     def solve(
-        self, problem: ClipProblem, state: Array, factor: BandedFactor, downhill: Array
+        self, problem: ClipProblem, terms: LengthTerms, factor: BandedFactor, downhill: Array
     ) -> tuple[Array, dict[str, float]]:
         """Eliminate the frames' unknowns, solve for the lengths, and put them back in."""
-        coupling, own, pull = self._derivatives(problem, state)
+        coupling = terms.coupling
         answer = factor.solve(np.concatenate([downhill[..., None], coupling], axis=2))
         free, bound = answer[..., 0], answer[..., 1:]
-        left = own + np.diag(self._weight) - np.einsum("tnl,tnm->lm", coupling, bound)
+        frames = ([0, 1], [0, 1])
+        left = terms.block + np.diag(self._weight) - np.tensordot(coupling, bound, axes=frames)
         right = (
-            -pull
+            -terms.gradient
             - self._weight * self._off(problem.lengths)
-            - np.einsum("tnl,tn->l", coupling, free)
+            - np.tensordot(coupling, free, axes=frames)
         )
         change = np.linalg.solve(left, right)
         # A length that leaves the human range in one step is the first guess' fault.
@@ -343,34 +378,6 @@ class _LengthStep:
         step = free - bound @ change
         new = {n: problem.lengths[n] + float(d) for n, d in zip(self.names, change, strict=True)}
         return _limit(step), {**problem.lengths, **new}
-
-    def _derivatives(self, problem: ClipProblem, state: Array) -> tuple[Array, Array, Array]:
-        """Return the coupling of angles and lengths (T, n, L), the lengths' block, and pull."""
-        n_frames, n = state.shape
-        count = len(self.names)
-        coupling = np.empty((n_frames, n, count))
-        own, pull = np.zeros((count, count)), np.zeros(count)
-        for start in range(0, n_frames, CHUNK):
-            part = slice(start, min(start + CHUNK, n_frames))
-            tree = problem.tree
-            posture = tree.place(problem.spread(state[part]), problem.lengths)
-            residual = posture.points + state[part, :ROOT].T - problem.target[:, :, part]
-            weight = problem.weight[:, part]
-            distance = np.sqrt(weight * np.einsum("pct,pct->pt", residual, residual))
-            weight = weight * np.minimum(1.0, problem.huber / np.maximum(distance, 1e-9))
-            by_length = tree.differentiate_lengths(posture, self.names)
-            pulled = by_length * weight[:, None, None, :]
-            coupling[part, :ROOT] = pulled.sum(axis=0).transpose(2, 0, 1)
-            by_angle = tree.differentiate(posture, problem.variables)
-            size = residual.shape[0] * 3
-            rows = np.ascontiguousarray(
-                by_angle.reshape(size, -1, by_angle.shape[-1]).transpose(2, 1, 0)
-            )
-            columns = np.ascontiguousarray(pulled.reshape(size, count, -1).transpose(2, 0, 1))
-            coupling[part, ROOT:] = rows @ columns
-            own += np.einsum("pclt,pcmt->lm", pulled, by_length)
-            pull += np.einsum("pclt,pct->l", pulled, residual)
-        return coupling, own, pull
 
 
 def fit_frames(
@@ -410,4 +417,4 @@ def _mix(chosen: NDArray[np.bool_], new: Linearisation, old: Linearisation) -> L
     for name in ("blocks", "gradient", "data_blocks", "prior_blocks", "cost", "misfit"):
         a, b = getattr(new, name), getattr(old, name)
         parts[name] = np.where(chosen.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
-    return Linearisation(**parts)
+    return replace(old, **parts)

@@ -267,5 +267,5 @@ def _unwrap_known(curve: Array, time_s: Array) -> Array:
     if not known.any():
         return np.zeros_like(curve)
     smooth = np.unwrap(curve[known])
-    turns = 2 * np.pi * np.round(np.median(smooth) / (2 * np.pi))
+    turns = 2 * np.pi * np.round(float(smooth.mean()) / (2 * np.pi))
     return np.asarray(np.interp(time_s, time_s[known], smooth - turns))

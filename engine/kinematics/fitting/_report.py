@@ -193,10 +193,12 @@ def _find_variance(
     scale = _find_scale(time_s, fit, slow, linked)
     around = fit.around
     alone = np.linalg.inv(around.data_blocks / scale[:, None, None] + around.prior_blocks)
-    own, hidden = _variance_of_angles(fit, pose, np.asarray(alone, dtype=np.float64))
+    slopes = {side: _slope_of_shoulder(fit, side) for side in SHOULDER_ROWS}
+    slopes["world"] = _slope_of_world_angles(pose[:6])
+    own, hidden = _variance_of_angles(fit, slopes, np.asarray(alone, dtype=np.float64))
     if linked is None:
         return own, hidden
-    smooth, hidden_smooth = _variance_of_angles(fit, pose, linked * scale[:, None, None])
+    smooth, hidden_smooth = _variance_of_angles(fit, slopes, linked * scale[:, None, None])
     total = slow * own + (1.0 - slow) * smooth
     lasting = [ANGLES.index(name) for name in _FROM_ASSUMPTION]
     total[lasting] = own[lasting]
@@ -275,7 +277,7 @@ def _find_slow_share(time_s: Array, fit: ClipFit) -> float:
 
 
 def _variance_of_angles(
-    fit: ClipFit, pose: Array, covariance: Array
+    fit: ClipFit, slopes: Mapping[str, Array], covariance: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return the variance of every angle from that of the unknowns; shape (A, T), rad^2."""
     problem = fit.problem
@@ -293,34 +295,36 @@ def _variance_of_angles(
             names = [f"shoulder_{motion}_{side}" for motion in _BALL_MOTIONS]
             at = [ANGLES.index(name) for name in names]
             own = [places[row] for row in rows]
-            variance[at] = _variance_of_shoulder(fit, covariance, own, side)
+            variance[at] = _carry_over(slopes[side], covariance, own)
             weight = problem.prior_weight[places[rows[2]]]
             hidden[at[2]] = variance[at[2]] * weight > MAX_PRIOR_SHARE
     if all(place in places for place in range(6)):
         first = [places[place] for place in range(6)]
-        slope = _slope_of_world_angles(pose[:6])
-        torso = covariance[:, first][:, :, first]
         world = [ANGLES.index(name) for name in WORLD_ANGLES]
-        variance[world] = np.einsum("awt,tab,bwt->wt", slope, torso, slope)
+        variance[world] = _carry_over(slopes["world"], covariance, first)
     return variance, hidden
 
 
 _BALL_MOTIONS = ("flexion", "adduction", "rotation")
 
 
-def _variance_of_shoulder(fit: ClipFit, covariance: Array, at: list[int], side: str) -> Array:
-    """Return the variance of a shoulder's three angles, shape (3, T), rad^2."""
+def _carry_over(slope: Array, covariance: Array, at: list[int]) -> Array:
+    """Return the variance of angles from that of the unknowns at these places; shape (A, T)."""
+    part = np.moveaxis(covariance[:, at][:, :, at], 0, 2)
+    half = np.einsum("abt,bwt->awt", part, slope)
+    return np.asarray(np.einsum("awt,awt->wt", slope, half))
+
+
+def _slope_of_shoulder(fit: ClipFit, side: str, step: float = 1e-4) -> Array:
+    """Return the derivatives of a shoulder's angles by its rotation vector; shape (3, 3, T)."""
+    at = [ROOT + fit.problem.variables.index(row) for row in SHOULDER_ROWS[side]]
     vectors = fit.state[:, at].T
-    step = 1e-4
-    slope = np.empty((3, 3, len(covariance)))
-    for k in range(3):
-        shift = step * np.eye(3)[k][:, None]
-        change = shoulder_from_vectors(vectors + shift, side) - shoulder_from_vectors(
-            vectors - shift, side
-        )
-        slope[k] = ((change + np.pi) % (2 * np.pi) - np.pi) / (2 * step)
-    part = covariance[:, at][:, :, at]
-    return np.asarray(np.einsum("awt,tab,bwt->wt", slope, part, slope))
+    shifts = step * np.concatenate([np.eye(3), -np.eye(3)])
+    moved = (vectors[:, None] + shifts.T[:, :, None]).reshape(3, -1)
+    read = shoulder_from_vectors(moved, side).reshape(3, 6, -1)
+    change = read[:, :3] - read[:, 3:]
+    change = (change + np.pi) % (2 * np.pi) - np.pi
+    return np.asarray(np.moveaxis(change, 1, 0) / (2 * step))
 
 
 def _slope_of_world_angles(angles: Array, step: float = 1e-4) -> Array:
