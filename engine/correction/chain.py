@@ -185,10 +185,19 @@ def _fill_and_smooth(
     is_filled = np.asarray(np.isfinite(position).all(axis=2) & ~is_kept)
     for k in np.flatnonzero(is_filled.any(axis=0)):
         sigma[:, k] = _widen_filled(track.time_s, kept[:, k], sigma[:, k], is_filled[:, k])
-    status[rejected] = Status.REJECTED
-    status[is_filled] = Status.FILLED
+    _settle_status(status, position, rejected=rejected, is_filled=is_filled)
     n_gated = int((rejected & ~found.is_rejected).sum())
     return dataclasses.replace(track, position=position, sigma=sigma, status=status), n_gated
+
+
+def _settle_status(
+    status: NDArray[np.uint8], position: Array, *, rejected: Mask, is_filled: Mask
+) -> None:
+    """Say of every sample what happened to it, in place."""
+    is_absent = ~np.isfinite(position).all(axis=2)
+    status[is_absent & (status != Status.REJECTED)] = Status.MISSING
+    status[rejected] = Status.REJECTED
+    status[is_filled] = Status.FILLED
 
 
 def _metres_per_unit(track: PoseTrack, stature_m: float | None) -> float:
@@ -234,8 +243,7 @@ def _correct_as_published(track: PoseTrack, stature_m: float | None) -> PoseTrac
     is_back = np.isfinite(published.position).all(axis=2)
     is_filled = np.asarray(is_back & (removed | ~track.is_present))
     status, sigma = np.array(track.status), np.array(track.sigma)
-    status[removed] = Status.REJECTED
-    status[is_filled] = Status.FILLED
+    _settle_status(status, published.position, rejected=removed, is_filled=is_filled)
     kept = np.where(removed[:, :, None], np.nan, clean)
     for k in np.flatnonzero(is_filled.any(axis=0)):
         sigma[:, k] = _widen_filled(track.time_s, kept[:, k], sigma[:, k], is_filled[:, k])

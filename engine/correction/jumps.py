@@ -24,7 +24,9 @@ CALM_SHARE = 0.5
 """Steps just before the first and after the second jump are at most this share of the jump."""
 MISMATCH_SHARE = 0.5
 """The two jumps cancel to within this share."""
-LONGEST_S = 0.5
+LONGEST_S = 1.5
+LIKE_M = 0.03
+"""Steps of the torso's points that differ by this count half."""
 
 
 def find_bumps(time_s: Array, position_m: Array, skeleton: Skeleton) -> NDArray[np.bool_]:
@@ -47,9 +49,10 @@ def find_bumps(time_s: Array, position_m: Array, skeleton: Skeleton) -> NDArray[
     found = np.zeros(position_m.shape[:2], dtype=bool)
     if len(time_s) < 4:
         return found
-    step = np.diff(_about_torso(position_m, skeleton), axis=0)
+    step = np.diff(position_m, axis=0)
+    step = step - _torso_step(step, skeleton)
     size = np.linalg.norm(step, axis=2)
-    usual = np.nan_to_num(mad_sigma(step.reshape(len(step), -1)))
+    usual = np.nan_to_num(mad_sigma(step.reshape(len(step), step[0].size)))
     usual = usual.reshape(step.shape[1:]).max(axis=1)
     is_jump = np.nan_to_num(size) > np.maximum(LEAST_JUMP_M, JUMP_SIGMAS * usual)
     calm = np.nan_to_num(size)
@@ -62,12 +65,24 @@ def find_bumps(time_s: Array, position_m: Array, skeleton: Skeleton) -> NDArray[
     return found
 
 
-def _about_torso(position: Array, skeleton: Skeleton) -> Array:
-    """Return positions about the middle of the torso, which leaves out the person's own way."""
+def _torso_step(step: Array, skeleton: Skeleton) -> Array:
+    """Return the person's own way, shape (T - 1, 1, D): the torso's step without its outliers."""
     columns = [skeleton.index(name) for name in TORSO if name in skeleton.keypoints]
     if not columns:
-        return position
-    return np.asarray(position - position[:, columns].mean(axis=1, keepdims=True))
+        return np.zeros_like(step[:, :1])
+    torso = step[:, columns]
+    known = np.asarray(np.isfinite(torso).all(axis=2))
+    torso = np.where(known[:, :, None], torso, 0.0)
+    both = known[:, :, None] & known[:, None, :]
+    apart = np.linalg.norm(torso[:, :, None] - torso[:, None, :], axis=3) * both
+    total = np.where(known, apart.sum(axis=2), np.inf)
+    # From the point that moves most like the others; a misplaced one then hardly counts.
+    centre = total.argmin(axis=1)[:, None, None]
+    distance = np.take_along_axis(apart, centre, axis=1)[:, 0]
+    weight = known / (1.0 + (distance / LIKE_M) ** 2)
+    share = weight.sum(axis=1, keepdims=True)
+    weight = np.divide(weight, share, out=np.zeros_like(weight), where=share > 0)
+    return np.asarray((weight[:, :, None] * torso).sum(axis=1, keepdims=True))
 
 
 def _mark_pairs(

@@ -119,7 +119,8 @@ def list_warnings(found: Diagnosis, unrepairable: int) -> list[str]:
                 f"Left and right may be exchanged in {doubtful} stretch(es), but not surely enough "
                 "to change the labels; look at `possible_swaps`."
             )
-        if found.swaps.is_exchanged.any(axis=1).mean() > 0.5:
+        n_exchanged = int(found.swaps.is_exchanged.any(axis=1).sum())
+        if 2 * n_exchanged > found.track.n_frames:
             warnings.append(
                 "Left and right were exchanged in more than half of the frames, judged by which "
                 "way knees, toes and nose point. If the video is mirrored, film again."

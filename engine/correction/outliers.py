@@ -109,7 +109,7 @@ def find_outliers(
 def _deviation(time_s: Array, position: Array) -> Array:
     """Return how far each joint is from its running median of half a second; shape (T, K)."""
     window = odd_window(0.5, frame_interval_s(time_s))
-    series = position.reshape(len(position), -1)
+    series = position.reshape(len(position), position.shape[1] * position.shape[2])
     residual = (series - running_median(series, window)).reshape(position.shape)
     return np.asarray(np.linalg.norm(residual, axis=2))
 

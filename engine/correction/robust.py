@@ -39,6 +39,8 @@ def odd_window(duration_s: float, interval_s: float) -> int:
 
 def known_median(values: Array) -> Array:
     """Return the median per column (T, C) -> (C,) without its gaps; NaN without values."""
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
     ordered = np.sort(values, axis=0)  # NaN last
     count = np.isfinite(values).sum(axis=0)
     columns = np.arange(values.shape[1])
@@ -49,8 +51,6 @@ def known_median(values: Array) -> Array:
 
 def mad_sigma(values: Array) -> Array:
     """Return a robust SD per column: 1.4826 x median absolute deviation; NaN without values."""
-    if not len(values):
-        return np.full(values.shape[1], np.nan)
     return _NORMAL * known_median(np.abs(values - known_median(values)))
 
 
