@@ -8,6 +8,7 @@ square roots instead of the whole chain, whichever variable it is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,7 +112,7 @@ class HumanoidCost:
     weights
         Shape (T, 12), not negative; None weighs every joint alike.
     lengths
-        Of the figure's segments.
+        Of the figure's segments: of one person, or of the person in each frame.
     frames
         Shape (B,): the frame every search belongs to.
     huber_m
@@ -123,7 +124,7 @@ class HumanoidCost:
     def __init__(
         self,
         targets: Array,
-        lengths: SegmentLengths,
+        lengths: SegmentLengths | Sequence[SegmentLengths],
         frames: NDArray[np.intp],
         *,
         weights: Array | None = None,
@@ -139,7 +140,11 @@ class HumanoidCost:
         self._huber_m = huber_m
         neutral = np.zeros(len(VARIABLES))
         neutral[_SIZE] = 1.0
-        self._neutral = compute_joints(neutral, lengths)[_COLUMNS]
+        if isinstance(lengths, SegmentLengths):
+            self._neutral = compute_joints(neutral, lengths)[_COLUMNS, :, None]
+        else:
+            each = np.stack([compute_joints(neutral, person) for person in lengths])
+            self._neutral = each[frames][:, _COLUMNS].transpose(1, 2, 0)
         self._values = np.empty((len(VARIABLES), 0))
         self._joints = self._axes = np.empty((0, 3, 0))
         self._share = np.empty((0, 0))
@@ -148,7 +153,7 @@ class HumanoidCost:
         """Put every search at its point, shape (B, 21)."""
         n_searches = len(values)
         axes = np.stack([hinge.axis for hinge in _HINGES])
-        self._joints = np.repeat(self._neutral[..., None], n_searches, axis=2)
+        self._joints = np.array(np.broadcast_to(self._neutral, (12, 3, n_searches)), order="C")
         self._axes = np.repeat(axes[..., None], n_searches, axis=2)
         self._values = np.zeros((len(VARIABLES), n_searches))
         self._values[_SIZE] = 1.0

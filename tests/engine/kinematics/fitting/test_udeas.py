@@ -173,6 +173,16 @@ class TestCostAlongOneVariable:
         assert fast.cost == pytest.approx(slow.cost, abs=1e-9)
         assert np.array_equal(fast.n_evaluations, slow.n_evaluations)
 
+    def test_every_frame_may_show_another_person(self, problem):
+        targets, frames, values = problem
+        people = [LENGTHS, SegmentLengths.from_stature(1.5)]
+        cost = HumanoidCost(targets, people, frames)
+        cost.place(values)
+        for i, person in enumerate(people):
+            own = frames == i
+            whole = fit_residual(values[own], person, targets[i])
+            assert cost.total()[own] == pytest.approx(whole, abs=1e-12)
+
     def test_small_distances_count_by_their_square_with_huber(self, problem):
         targets, frames, values = problem
         cost = HumanoidCost(targets, LENGTHS, frames, huber_m=0.3)
