@@ -18,9 +18,9 @@ __all__ = [
     "Repetitions",
     "classify",
     "combine_lifts",
-    "count_hands",
     "find_child_doubts",
     "list_doubts",
+    "read_lifts",
     "read_repetitions",
     "refuse",
 ]
@@ -79,9 +79,12 @@ def read_repetitions(exposure: Exposure) -> Repetitions:
     return Repetitions(frequency, duration, frequency_from, duration_from, tuple(notes))
 
 
-def count_hands(exposure: Exposure, lift: Lift) -> int:
-    """Return in how many hands the load is: the user's word, else what was seen."""
-    return lift.hands if exposure.task.hands is None else exposure.task.hands
+def read_lifts(exposure: Exposure) -> tuple[Lift, ...]:
+    """Return the lifts in as many hands as the user says, or, left unsaid, as were seen."""
+    hands = exposure.task.hands
+    if hands is None:
+        return exposure.lifts
+    return tuple(replace(lift, hands=hands) for lift in exposure.lifts)
 
 
 def list_doubts(exposure: Exposure, lift: Lift | None = None) -> list[str]:

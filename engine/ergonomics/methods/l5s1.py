@@ -32,7 +32,7 @@ from engine.ergonomics.upper_body import (
     measure_upper_body,
     read_mass,
 )
-from engine.ergonomics.work import classify, combine_lifts, list_doubts, refuse
+from engine.ergonomics.work import classify, combine_lifts, list_doubts, read_lifts, refuse
 
 __all__ = ["LEVELS", "METHOD"]
 
@@ -109,6 +109,8 @@ class L5S1:
         "(derived, standard error 25 mm).",
         verification="V2",
         levels=LEVELS,
+        value_name="peak compression",
+        decimals=0,
         description="Peak spinal compression, bending moments in three directions and shear while "
         "the load is held, static and with accelerations. " + MODEL_NOTE,
     )
@@ -125,16 +127,14 @@ class L5S1:
         if not exposure.lifts:
             return refuse(self.info, "no lift was found in the video")
         body = measure_upper_body(exposure)
+        lifts = read_lifts(exposure)
         load = compute_back_load(
             body,
-            exposure.lifts,
+            lifts,
             subject=exposure.subject,
             load_kg=exposure.task.load_kg or 0.0,
         )
-        results = [
-            self._assess_lift(exposure, body, load, lift, k)
-            for k, lift in enumerate(exposure.lifts)
-        ]
+        results = [self._assess_lift(exposure, body, load, lift, k) for k, lift in enumerate(lifts)]
         return combine_lifts(self.info, results)
 
     def _assess_lift(
