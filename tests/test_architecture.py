@@ -20,7 +20,16 @@ SHARED = {
     "engine.skeletons",
     "engine.timing",
 }
-STEPS = {"video", "subject", "pose", "cameras", "correction", "kinematics", "ergonomics"}
+STEPS = {
+    "video",
+    "subject",
+    "pose",
+    "cameras",
+    "correction",
+    "kinematics",
+    "ergonomics",
+    "validation",
+}
 MAY_START_THE_PIPELINE = {"engine", "engine.cli", "engine.jobs.worker"}
 BROWSER_LIBRARIES = {"streamlit", "plotly", "altair"}
 HEAVY = ("cv2", "av", "onnxruntime", "scipy", "pandas", "streamlit", "plotly", "PIL", "sqlite3")
