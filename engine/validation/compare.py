@@ -26,7 +26,7 @@ from engine.validation.majae import MAJAE_GROUPS, MAJAE_GROUPS_TRUNK, Majae, com
 from engine.validation.metrics import PositionAgreement, compare_poses
 from engine.validation.reference.base import Finding, Reference
 from engine.validation.resampling import resample_positions, shift_positions
-from engine.validation.spatial import SpatialAlignment, align_positions
+from engine.validation.spatial import SpatialAlignment, align_positions, compare_segment_lengths
 
 __all__ = [
     "AngleComparison",
@@ -49,7 +49,6 @@ MIN_SAMPLES = 10
 """An angle seen together in fewer frames is not compared."""
 ROOT = ("left_hip", "right_hip")
 GOOD_CORRELATION = 0.9
-SIZE_TOLERANCE = 0.06
 COVERED = 0.9
 """A reference that covers less of the result is worth a note."""
 
@@ -184,7 +183,7 @@ class TrialComparison:
 
         The offset is that of conventions, so that the reference keeps its own definition.
         """
-        return np.asarray(self.pairs.result_deg - self._removed_deg)
+        return np.asarray(self.pairs.estimated_deg - self._removed_deg)
 
     @cached_property
     def difference_deg(self) -> Array:
@@ -292,7 +291,7 @@ def compare_trial(
             *reference.notes,
             *alignment.notes,
             *_note_overlap(estimate, pairs),
-            *_note_doubts(alignment, size),
+            *_note_doubts(alignment, estimate.track, reference.track),
         ),
     )
 
@@ -324,7 +323,7 @@ def _keep_seen(pairs: PairedAngles) -> PairedAngles:
     return replace(
         pairs,
         names=tuple(pairs.names[i] for i in kept),
-        result_deg=pairs.result_deg[:, kept],
+        estimated_deg=pairs.estimated_deg[:, kept],
         reference_deg=pairs.reference_deg[:, kept],
         offset_deg=pairs.offset_deg[kept],
         sigma_deg=pairs.sigma_deg[:, kept],
@@ -332,7 +331,7 @@ def _keep_seen(pairs: PairedAngles) -> PairedAngles:
 
 
 def _compare_angle(pairs: PairedAngles, column: int) -> AngleComparison:
-    own, other = pairs.result_deg[:, column], pairs.reference_deg[:, column]
+    own, other = pairs.estimated_deg[:, column], pairs.reference_deg[:, column]
     offset = float(pairs.offset_deg[column])
     return AngleComparison(
         name=pairs.names[column],
@@ -348,7 +347,7 @@ def _group_errors(pairs: PairedAngles) -> tuple[Majae, Majae, Literal["lumbar", 
     groups = MAJAE_GROUPS if has_waist else MAJAE_GROUPS_TRUNK
     measured, free = (
         compute_majae(pairs.time_s, pairs.names, own, pairs.reference_deg, groups=groups)
-        for own in (pairs.result_deg, pairs.result_deg - pairs.offset_deg)
+        for own in (pairs.estimated_deg, pairs.estimated_deg - pairs.offset_deg)
     )
     return measured, free, "lumbar" if has_waist else "trunk"
 
@@ -408,18 +407,16 @@ def _note_overlap(estimate: Estimate, pairs: PairedAngles) -> tuple[str, ...]:
     return () if common >= COVERED * whole else (note,)
 
 
-def _note_doubts(alignment: TimeAlignment, size: float) -> tuple[str, ...]:
+def _note_doubts(
+    alignment: TimeAlignment, track: PoseTrack | None, reference: PoseTrack | None
+) -> tuple[str, ...]:
     """Say what hints at another repetition or another person."""
-    notes = []
+    notes: list[str] = []
     if alignment.correlation < GOOD_CORRELATION:
         notes.append(
             f"The curves fit only moderately (correlation {alignment.correlation:.2f}); make sure "
             "that both recordings show the same person and the same repetition."
         )
-    if abs(size - 1.0) > SIZE_TOLERANCE:
-        notes.append(
-            f"The body in the reference is {100 * abs(size - 1):.0f} % "
-            f"{'larger' if size > 1 else 'smaller'} than in the result; check the stature given, "
-            "and that it is the same person."
-        )
+    if track is not None and reference is not None and track.position.shape[2] == 3:
+        notes += compare_segment_lengths(track, reference).notes
     return tuple(notes)

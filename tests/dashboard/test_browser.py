@@ -227,3 +227,53 @@ def test_pages_fit_the_screen_in_light_and_dark(address, trial, open_page, shots
         is_light_ink = sum(map(int, background[4:-1].split(",")[:3])) > 380
         assert is_light_ink == (mode == "dark")
         _shoot(page, shots / f"{name}-{mode}-{size}.png")
+
+
+@pytest.fixture(scope="module")
+def compared(trial, browser, address):
+    """Take the bundled markers of the assessed clip as its reference; return the address."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    page = context.new_page()
+    page.goto(address + trial)
+    page.get_by_role("button", name="Compare with a reference recording").click()
+    page.get_by_role("button", name="Use the markers bundled with this sample").click()
+    page.get_by_role("button", name="Whole comparison (zip)").wait_for()
+    yield page.url.removeprefix(address)
+    context.close()
+
+
+def test_the_comparison_can_be_downloaded(compared, open_page, browser, tmp_path):
+    page = open_page(compared)
+    with page.expect_download(timeout=120_000) as download:
+        page.get_by_role("button", name="Whole comparison (zip)").click()
+    download.value.save_as(tmp_path / "agreement.zip")
+    with zipfile.ZipFile(tmp_path / "agreement.zip") as packed:
+        assert packed.testzip() is None
+        names = packed.namelist()
+        document = json.loads(packed.read(next(n for n in names if n.endswith("agreement.json"))))
+        pictures = [n for n in names if n.endswith(".png")]
+    assert document["trials"][0]["time_alignment"]["correlation"] > 0.9
+    assert abs(document["trials"][0]["time_alignment"]["lag_s"]) < 0.05
+    assert len(pictures) == 5
+    # The summary looks right in a browser too, and needs nothing else.
+    with zipfile.ZipFile(tmp_path / "agreement.zip") as packed:
+        packed.extractall(tmp_path)
+    summary = browser.new_page()
+    asked = []
+    summary.on("request", lambda request: asked.append(request.url))
+    summary.goto(next(tmp_path.rglob("summary.html")).as_uri())
+    assert summary.locator("table").count() == 2
+    assert summary.evaluate("[...document.images].every(i => i.naturalWidth > 300)")
+    summary.close()
+    assert not [url for url in asked[1:] if not url.startswith("data:")]
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_the_comparison_fits_the_screen(compared, open_page, shots, size, mode):
+    page = open_page(compared, size=size, mode=mode)
+    page.get_by_role("button", name="Whole comparison (zip)").wait_for()
+    page.wait_for_function("document.querySelectorAll('.js-plotly-plot').length === 5")
+    main = "document.querySelector('[data-testid=stMain]')"
+    assert page.evaluate(f"{main}.scrollWidth") <= SIZES[size][0]
+    _shoot(page, shots / f"reference-{mode}-{size}.png")

@@ -170,7 +170,7 @@ def test_a_moved_body_has_no_distance_after_one_rigid_move():
 def test_a_body_of_another_size_is_noted():
     found = compare_tracks(scale=0.85)
     assert found.body_size_ratio == pytest.approx(1 / 0.85, rel=0.005)
-    assert any("18 % larger" in note for note in found.notes)
+    assert any("15 % shorter" in note for note in found.notes)
     by_kind = {p.alignment: p.mpjpe_mm for p in found.positions}
     assert by_kind["none"] > 30.0
     assert by_kind["procrustes"] < 1.5

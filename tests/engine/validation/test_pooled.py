@@ -90,6 +90,6 @@ def test_points_of_the_plot_are_the_differences():
     trials = (compare(3.0),)
     mean, difference = bland_altman_points(trials, "trunk_flexion")
     column = trials[0].names.index("trunk_flexion")
-    own = trials[0].pairs.result_deg[:, column]
+    own = trials[0].pairs.estimated_deg[:, column]
     assert mean == pytest.approx(own - difference / 2)
     assert pooled_differences(trials, "trunk_flexion") == pytest.approx(difference)
