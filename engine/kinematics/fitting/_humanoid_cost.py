@@ -232,8 +232,10 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -2, 0), np.moveaxis(b, -2, 0)
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-2)
+    result = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
+        result[..., i, :] = a[..., j, :] * b[..., k, :] - a[..., k, :] * b[..., j, :]
+    return result
 
 
 def _turning_terms(axis: Array, arm: Array, goal: Array) -> tuple[Array, Array, Array]:
@@ -248,17 +250,14 @@ def _turning_terms(axis: Array, arm: Array, goal: Array) -> tuple[Array, Array, 
 
 def _rotation(axis: Array, angle: Array) -> Array:
     """Return rotation matrices of shape (3, 3, b) about unit vectors (3, b), by Rodrigues."""
-    x, y, z = axis
     c, s = np.cos(angle), np.sin(angle)
-    t = 1.0 - c
-    txy, txz, tyz = t * x * y, t * x * z, t * y * z
-    return np.stack(
-        [
-            np.stack([c + t * x * x, txy - s * z, txz + s * y]),
-            np.stack([txy + s * z, c + t * y * y, tyz - s * x]),
-            np.stack([txz - s * y, tyz + s * x, c + t * z * z]),
-        ]
-    )
+    part, turn = (1.0 - c) * axis, s * axis
+    matrix = part[:, None] * axis
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
+        matrix[i, i] += c
+        matrix[j, k] -= turn[i]
+        matrix[k, j] += turn[i]
+    return matrix
 
 
 def _apply(turn: Array, vectors: Array) -> Array:
