@@ -24,7 +24,7 @@ CALM_SHARE = 0.5
 """Steps just before the first and after the second jump are at most this share of the jump."""
 MISMATCH_SHARE = 0.5
 """The two jumps cancel to within this share."""
-LONGEST_S = 1.5
+LONGEST_S = 0.75
 LIKE_M = 0.03
 """Steps of the torso's points that differ by this count half."""
 

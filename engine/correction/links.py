@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.correction.gaps import find_runs
 from engine.correction.robust import (
     close_gaps,
     frame_interval_s,
@@ -49,8 +48,6 @@ LINK_SHARES = {
 
 SLOW_SCALE_S = 2.0
 """How quickly the scale of a picture may follow the distance to the camera."""
-LONGEST_PAIR_S = 3.0
-"""Two jumps further apart than this are not taken for the two ends of one fault."""
 BASELINE_S = 1.0
 """Window of the running median that stands for a link's usual length."""
 
@@ -220,8 +217,7 @@ def find_excursions(
     -------
     is_excursion
         Shape (T, J): further than max(3 cm, 4 robust SD) from the running median of 1 s over
-        the other frames, in a run that a jump begins or ends, or that far from the length just
-        before, between two jumps that undo each other. A slow change is no excursion.
+        the other frames, in a run that a jump begins or ends. A slow change is no excursion.
         Excursions less than three frames (at 30 frames/s) apart are one.
     level_cm
         Shape (T, J): that distance, signed.
@@ -238,35 +234,9 @@ def find_excursions(
         level = length_cm - running_median(usual, window)
         threshold = np.maximum(LEVEL_FLOOR_CM, LEVEL_SIGMAS * np.nan_to_num(mad_sigma(level)))
         found = runs_that_touch(np.nan_to_num(np.abs(level)) > threshold, near_edge)
-        found = close_gaps(found | _between_pairs(time_s, length_cm, edges, threshold), 2 * reach)
+        found = close_gaps(found, 2 * reach)
         usual = np.where(found, np.nan, length_cm)
         # A link that is never right has no baseline of its own; keep the first one.
         never = ~np.isfinite(usual).any(axis=0)
         usual[:, never] = length_cm[:, never]
     return found, level
-
-
-def _between_pairs(
-    time_s: Array, length_cm: Array, edges: EdgeTest, threshold: Array
-) -> NDArray[np.bool_]:
-    """Mark what lies between two jumps of a link that undo each other; shape (T, J).
-
-    Faults of half a second and more pull the running median along; their ends still tell.
-    """
-    found = np.zeros(length_cm.shape, dtype=bool)
-    for j in np.flatnonzero(edges.is_edge.any(axis=0)):
-        length = length_cm[:, j]
-        runs = [run for run in find_runs(edges.is_edge[:, j]) if run[0] > 0]
-        for i, (start, after) in enumerate(runs):
-            rise = length[after - 1] - length[start - 1]
-            for back, stop in runs[i + 1 :]:
-                if time_s[back] - time_s[start] > LONGEST_PAIR_S:
-                    break
-                fall = length[stop - 1] - length[back - 1]
-                if abs(rise + fall) > 0.5 * max(abs(rise), abs(fall)):
-                    continue
-                away = np.abs(length[after - 1 : back] - length[start - 1])
-                if (away > threshold[j]).all():
-                    found[start : stop - 1, j] = True
-                break
-    return found
