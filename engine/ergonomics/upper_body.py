@@ -32,6 +32,7 @@ __all__ = [
     "compute_back_load",
     "differentiate_twice",
     "find_held",
+    "measure_load_lever",
     "measure_upper_body",
     "read_mass",
 ]
@@ -202,14 +203,22 @@ def differentiate_twice(
         and in stretches of fewer than 16 frames. Each stretch between gaps is filtered on its own,
         its ends padded by odd reflection.
     """
-    if len(time_s) < 2:
-        return np.full_like(position, np.nan)
-    rate_hz = 1.0 / float(np.median(np.diff(time_s)))
     columns = position.reshape(len(time_s), -1)
     result = np.full_like(columns, np.nan)
-    if rate_hz >= MIN_FRAME_RATE_HZ:
-        for k in range(columns.shape[1]):
-            result[:, k] = _accelerate(columns[:, k], time_s, rate_hz, cutoff_hz)
+    if len(time_s) < MIN_STRETCH:
+        return result.reshape(position.shape)
+    rate_hz = 1.0 / float(np.median(np.diff(time_s)))
+    if rate_hz < MIN_FRAME_RATE_HZ:
+        return result.reshape(position.shape)
+    # Columns that are seen in the same frames go through the filter together.
+    patterns, group = np.unique(np.isfinite(columns), axis=1, return_inverse=True)
+    for k in range(patterns.shape[1]):
+        chosen = np.flatnonzero(group.reshape(-1) == k)
+        known = np.flatnonzero(patterns[:, k])
+        for stretch in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+            if len(stretch) >= MIN_STRETCH:
+                part = np.ix_(stretch, chosen)
+                result[part] = _accelerate(columns[part], time_s[stretch], rate_hz, cutoff_hz)
     return result.reshape(position.shape)
 
 
@@ -217,19 +226,15 @@ MIN_STRETCH = 16
 
 
 def _accelerate(values: Array, time_s: Array, rate_hz: float, cutoff_hz: float) -> Array:
+    """Return the second derivative of filtered columns, shape (T, N), without gaps."""
     from scipy.signal import butter, sosfiltfilt
 
     # Each pass of a second-order filter is 3 dB down where both together shall be.
     corrected = cutoff_hz / (2**0.5 - 1) ** 0.25
     sections = butter(2, min(corrected, 0.45 * rate_hz), fs=rate_hz, output="sos")
-    result = np.full_like(values, np.nan)
-    known = np.flatnonzero(np.isfinite(values))
-    for stretch in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-        if len(stretch) >= MIN_STRETCH:
-            smooth = sosfiltfilt(sections, values[stretch])
-            speed = np.gradient(smooth, time_s[stretch], edge_order=2)
-            result[stretch] = np.gradient(speed, time_s[stretch], edge_order=2)
-    return result
+    smooth = sosfiltfilt(sections, values, axis=0)
+    speed = np.gradient(smooth, time_s, axis=0, edge_order=2)
+    return np.asarray(np.gradient(speed, time_s, axis=0, edge_order=2))
 
 
 # --------------------------------------------------------------------------- the load on the back
@@ -319,8 +324,7 @@ def compute_back_load(
     spread = _flexion_sigma(
         static.flexion_nm, coefficients * sigma, total_n, load_moment, mass, subject
     )
-    at_hands = _known_sum(grip[..., None] / np.maximum(held, 1e-9)[:, None, None], hands)
-    horizontal = np.linalg.norm((at_hands - joint)[:, [0, 2]], axis=1)
+    load_lever, load_lever_sigma = measure_load_lever(body, lifts, subject)
     return BackLoad(
         time_s=body.time_s,
         static=static,
@@ -328,9 +332,29 @@ def compute_back_load(
         flexion_sigma_nm=spread,
         compression_sigma_n=_compression_sigma(static.flexion_nm, spread),
         load_kg=held * load_kg,
-        load_lever_m=np.where(held > 0, horizontal, np.nan),
-        load_lever_sigma_m=_lever_sigma(body, grip, subject),
+        load_lever_m=load_lever,
+        load_lever_sigma_m=load_lever_sigma,
     )
+
+
+def measure_load_lever(
+    body: UpperBody, lifts: Sequence[Lift], subject: Subject
+) -> tuple[Array, Array]:
+    """Measure how far the load is from L5/S1.
+
+    Returns
+    -------
+    lever, sigma
+        Shape (T,) each: horizontal distance (m), NaN while nothing is held, and its standard
+        error.
+    """
+    grip = _grip_over_time(body, lifts)
+    held = grip.sum(axis=1)
+    hands = np.stack([body.points[f"{side}_knuckle"] for side in ("left", "right")], axis=1)
+    at_hands = _known_sum(grip[..., None] / np.maximum(held, 1e-9)[:, None, None], hands)
+    joint = body.l5s1(share_above_l5s1(subject.sex).l5s1_height)
+    horizontal = np.linalg.norm((at_hands - joint)[:, [0, 2]], axis=1)
+    return np.where(held > 0, horizontal, np.nan), _lever_sigma(body, grip, subject)
 
 
 def _grip_over_time(body: UpperBody, lifts: Sequence[Lift]) -> Array:

@@ -17,7 +17,7 @@ from engine.datatypes import Provenance, RiskInput, RiskResult
 from engine.ergonomics.base import Exposure, MethodInfo, RiskLevel
 from engine.ergonomics.fatigue import compute_back_damage, compute_risk_percent
 from engine.ergonomics.spine import GRAVITY_M_S2
-from engine.ergonomics.upper_body import compute_back_load, find_held, measure_upper_body
+from engine.ergonomics.upper_body import find_held, measure_load_lever, measure_upper_body
 from engine.ergonomics.work import (
     Repetitions,
     classify,
@@ -70,16 +70,13 @@ class _Cycle:
 def _measure(exposure: Exposure) -> list[_Cycle]:
     body = measure_upper_body(exposure)
     lifts = read_lifts(exposure)
-    load = compute_back_load(body, lifts, subject=exposure.subject, load_kg=0.0)
+    lever, sigma = measure_load_lever(body, lifts, exposure.subject)
     cycles = []
     for k, lift in enumerate(lifts):
-        frames = np.flatnonzero(find_held(load.time_s, lift))
-        lever = load.load_lever_m[frames]
-        if np.isfinite(lever).any():
-            peak = frames[int(np.nanargmax(lever))]
-            cycles.append(
-                _Cycle(k, float(load.load_lever_m[peak]), float(load.load_lever_sigma_m[peak]))
-            )
+        frames = np.flatnonzero(find_held(body.time_s, lift))
+        if np.isfinite(lever[frames]).any():
+            peak = frames[int(np.nanargmax(lever[frames]))]
+            cycles.append(_Cycle(k, float(lever[peak]), float(sigma[peak])))
     return cycles
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from engine.datatypes import Array, JointAngles, Lift, Provenance, RiskInput, RiskResult
 from engine.ergonomics.base import Exposure, MethodInfo, RiskLevel
 from engine.ergonomics.spine import GRAVITY_M_S2
-from engine.ergonomics.upper_body import compute_back_load, find_held, measure_upper_body
+from engine.ergonomics.upper_body import find_held, measure_load_lever, measure_upper_body
 from engine.ergonomics.work import Repetitions, list_doubts, read_lifts, read_repetitions, refuse
 from engine.errors import DataError
 
@@ -103,11 +103,11 @@ def _peak_moment(exposure: Exposure, lifts: Sequence[Lift]) -> float:
     if exposure.task.load_kg is None:
         return math.nan
     body = measure_upper_body(exposure)
-    load = compute_back_load(body, lifts, subject=exposure.subject, load_kg=0.0)
+    levers, _ = measure_load_lever(body, lifts, exposure.subject)
     weight = GRAVITY_M_S2 * exposure.task.load_kg
     peaks = []
     for lift in lifts:
-        lever = load.load_lever_m[find_held(load.time_s, lift)]
+        lever = levers[find_held(body.time_s, lift)]
         if np.isfinite(lever).any():
             peaks.append(weight * float(np.nanmax(lever)))
     return _mean(peaks)

@@ -41,13 +41,16 @@ def count_frequency(exposure: Exposure) -> float | None:
     return len(exposure.lifts) / (exposure.observed_s / 60.0)
 
 
-def _firwl(details: Mapping[str, Any], factor: float = 1.0) -> float:
+def _firwl(details: Mapping[str, Any], bound: int | None) -> float:
     """Return the frequency-independent limit of a lift, kg: the smaller of the ends that count."""
+    multiplier = details["origin"]["FM"]
+    if bound is not None and multiplier > 0:
+        return float(details["rwl_interval_kg"][bound] / multiplier)
     limits = (
         METRIC.load_constant * math.prod(details[end][name] for name in MULTIPLIERS_BUT_FREQUENCY)
         for end in details["counted_ends"]
     )
-    return float(factor * min(limits))
+    return float(min(limits))
 
 
 def read_tasks(
@@ -70,22 +73,17 @@ def read_tasks(
     bound
         0 or 1 to take every limit at the lower or upper end of its interval; None for its value.
     """
-    tasks = []
-    for part in lifts:
-        details, factor = part.details, 1.0
-        if bound is not None and details["rwl_kg"] > 0:
-            factor = details["rwl_interval_kg"][bound] / details["rwl_kg"]
-        tasks.append(
-            LiftingTask(
-                name=f"lift {(part.lift_index or 0) + 1}",
-                firwl_kg=_firwl(details, factor),
-                V_cm=details["origin"]["V_cm"],
-                frequency_per_min=frequency_per_min / len(lifts),
-                mean_load_kg=load_kg,
-                max_load_kg=load_kg,
-            )
+    return [
+        LiftingTask(
+            name=f"lift {(part.lift_index or 0) + 1}",
+            firwl_kg=_firwl(part.details, bound),
+            V_cm=part.details["origin"]["V_cm"],
+            frequency_per_min=frequency_per_min / len(lifts),
+            mean_load_kg=load_kg,
+            max_load_kg=load_kg,
         )
-    return tasks
+        for part in lifts
+    ]
 
 
 class RnleJob:

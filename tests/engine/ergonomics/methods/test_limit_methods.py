@@ -454,6 +454,13 @@ class TestJob:
         assert two.interval == pytest.approx(one.interval)
         assert one.interval[0] < one.value < one.interval[1]
 
+    def test_nothing_allowed_may_still_have_a_finite_end(self):
+        lift = build_lift(origin=(64.0, 30.0, 0.0), sigma=(3.0, 1.0, 1.0))
+        one, job = run(rnle, lift), run(rnle_job, lift)
+        assert job.value == math.inf
+        assert job.interval == pytest.approx(one.interval)
+        assert math.isfinite(job.interval[0])
+
     def test_refused_lifts_are_named(self):
         result = run(rnle_job, self.HARD, dataclasses.replace(self.EASY, hands=1))
         assert result.details["n_lifts"] == 1
