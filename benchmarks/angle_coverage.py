@@ -60,6 +60,8 @@ TRUTH_BY_GEOMETRY = (
 )
 """Angles that the clean joints define without any model."""
 
+GEOMETRIC = tuple(dict.fromkeys(n.removesuffix("_l").removesuffix("_r") for n in TRUTH_BY_GEOMETRY))
+
 BONES = {
     "lumbar_flexion": ("lumbar_extension", -1.0),
     "lumbar_bending": ("lumbar_bending", 1.0),
@@ -263,8 +265,11 @@ def summarise(rows: pd.DataFrame) -> pd.DataFrame:
     keys = ["kind", "noise", "angle", "solver"]
     sums = ["samples", "known", "error", "sigma", "judged", "inside"]
     both = rows.groupby(keys, sort=False)[sums].sum()
-    everything = both.groupby(["kind", "noise", "solver"], sort=False).sum().reset_index()
-    everything["angle"] = "all"
+    # The sum over angles compares the solvers on those that both give, in the same meaning.
+    shared = [angle for angle in GEOMETRIC if angle in both.index.get_level_values("angle")]
+    common = both[both.index.get_level_values("angle").isin(shared)]
+    everything = common.groupby(["kind", "noise", "solver"], sort=False).sum().reset_index()
+    everything["angle"] = "all shared"
     both = pd.concat([both.reset_index(), everything]).set_index(keys)
     table = pd.DataFrame(
         {

@@ -66,7 +66,7 @@ class AngleDefinition:
     `relative_to` says whether the angle is one between two body segments (`parent`) or one
     with the vertical or the heading (`world`). Rows with `is_bilateral` stand for two angles,
     ``<name>_l`` and ``<name>_r``. `is_geometric` tells whether the solver `geometric`
-    provides the angle.
+    provides the angle, `is_fitted` whether the body model of the solver `least-squares` does.
     """
 
     name: str
@@ -82,6 +82,7 @@ class AngleDefinition:
     opensim_pose2sim: ExternalAngle | None = None
     is_bilateral: bool = False
     is_geometric: bool = False
+    is_fitted: bool = True
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -145,7 +146,8 @@ ANGLES: tuple[AngleDefinition, ...] = (
         name="lumbar_flexion",
         title="Lumbar flexion",
         group="lumbar",
-        definition="Thorax relative to pelvis, first angle of Z-X-Y; needs a body model.",
+        definition="Thorax (trunk line and shoulder line) relative to pelvis, first angle of "
+        "Z-X-Y; needs a body model.",
         zero="thorax and pelvis aligned as in the neutral pose",
         positive="forward",
         relative_to="parent",
@@ -294,7 +296,8 @@ ANGLES: tuple[AngleDefinition, ...] = (
         name="ankle_dorsiflexion",
         title="Ankle dorsiflexion",
         group="leg",
-        definition="Foot against the shank, first angle; needs a body model.",
+        definition="Line from heel to toe against the plane at right angles to the shank; needs a "
+        "body model.",
         zero="foot at a right angle to the shank",
         positive="dorsiflexion (toes up)",
         relative_to="parent",
@@ -367,6 +370,7 @@ ANGLES: tuple[AngleDefinition, ...] = (
         title="Forearm pronation",
         group="arm",
         definition="Turn of the forearm about its length; needs a body model with a hand.",
+        is_fitted=False,
         zero="palm forward (anatomical position)",
         positive="pronation",
         relative_to="parent",
@@ -427,21 +431,32 @@ The solver `geometric` computes the angles marked in the column *Keypoints* stra
 keypoints, without a body model. Knee and elbow flexion are then unsigned: noise on a straight
 limb reads as a few degrees of flexion. Hip flexion is measured against the trunk line and so
 contains the flexion of the lumbar spine.
+
+The solver `least-squares` fits a body model of constant segment lengths to the whole clip and gives
+the angles marked in the column *Body model*. Knee and elbow flexion then have a sign, and hip
+flexion is measured against the pelvis. Keypoints at hips and shoulders alone can't tell how the
+pitch of the trunk is shared between pelvis and lumbar spine: 60 % are given to the lumbar spine,
+with a standard deviation of 20 %, which is part of the stated errors of `lumbar_flexion`,
+`pelvis_tilt` and `hip_flexion`. The rotation of an upper arm is left out while the elbow is too
+straight to show it, that of a thigh likewise unless the foot is seen, and shoulder flexion and
+rotation are left out while the arm points straight out to the side.
 """
 
 
 def format_angle_table() -> str:
     """Return the convention table as a Markdown page, the text of `docs/angles.md`."""
-    meaning = ["| Name | Angle | Definition | Zero | Positive | Relative to | Keypoints |"]
-    meaning.append("|---|---|---|---|---|---|---|")
+    meaning = [
+        "| Name | Angle | Definition | Zero | Positive | Relative to | Keypoints | Body model |"
+    ]
+    meaning.append("|---|---|---|---|---|---|---|---|")
     names = ["| Name | ISB | Plug-in Gait | OpenSim, Hamner | OpenSim, Pose2Sim |"]
     names.append("|---|---|---|---|---|")
     for row in ANGLES:
         name = f"`{row.name}`" + ("\\*" if row.is_bilateral else "")
-        mark = "yes" if row.is_geometric else ""
+        marks = " | ".join("yes" if m else "" for m in (row.is_geometric, row.is_fitted))
         meaning.append(
             f"| {name} | {row.title} | {row.definition} | {row.zero} | {row.positive} "
-            f"| {row.relative_to} | {mark} |"
+            f"| {row.relative_to} | {marks} |"
         )
         foreign = (row.isb, row.plug_in_gait, row.opensim_hamner, row.opensim_pose2sim)
         names.append(f"| {name} | " + " | ".join(map(_format_external, foreign)) + " |")

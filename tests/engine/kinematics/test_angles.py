@@ -138,7 +138,7 @@ class TestTable:
     def test_every_line_of_the_printed_tables_has_as_many_cells_as_its_head(self):
         lines = [x for x in angles.format_angle_table().splitlines() if x.startswith("|")]
         cells = [x.count("|") for x in lines]
-        assert set(cells) == {8, 6}
+        assert set(cells) == {9, 6}
         assert len(lines) == 2 * (len(angles.ANGLES) + 2)
 
 
