@@ -69,7 +69,7 @@ def compute_icc(measurements: ArrayLike, *, level: float = 0.95) -> IntraclassCo
     Returns
     -------
     IntraclassCorrelation
-        NaN with fewer than two complete rows or where nothing varies.
+        NaN with fewer than two complete rows, or where the trials do not differ at all.
 
     Raises
     ------
@@ -89,9 +89,10 @@ def compute_icc(measurements: ArrayLike, *, level: float = 0.95) -> IntraclassCo
     n, k = table.shape
     spread = float(np.ptp(table)) if n else 0.0
     if n < 2 or spread == 0.0:
-        nan = math.nan
-        return IntraclassCorrelation(n, k, nan, UNKNOWN, nan, UNKNOWN, nan, nan, nan, nan, level)
+        return _unknown(n, k, level)
     ms = _mean_squares(table)
+    if max(ms.rows, ms.error) <= 1e-24 * spread**2:
+        return _unknown(n, k, level)
     # What rounding leaves of an error of nothing must not become a finite F.
     if ms.error <= 1e-24 * spread**2:
         ms = _MeanSquares(ms.rows, ms.columns, 0.0, n, k)
@@ -110,6 +111,11 @@ def compute_icc(measurements: ArrayLike, *, level: float = 0.95) -> IntraclassCo
         sem_consistency=math.sqrt(ms.error),
         level=level,
     )
+
+
+def _unknown(n: int, k: int, level: float) -> IntraclassCorrelation:
+    nan = math.nan
+    return IntraclassCorrelation(n, k, nan, UNKNOWN, nan, UNKNOWN, nan, nan, nan, nan, level)
 
 
 def _mean_squares(table: Array) -> _MeanSquares:

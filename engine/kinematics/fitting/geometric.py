@@ -260,7 +260,11 @@ def _apply(rule: _Rule, track: PoseTrack, skeleton: Skeleton) -> tuple[Array, Ar
     points = {k: track.position[:, skeleton.index(k)] for k in rule.keypoints}
     errors = np.asarray(track.sigma)
     sigma = {k: errors[:, skeleton.index(k)] for k in rule.keypoints}
-    return rule.compute(points), propagate_sigma(rule.compute, points, sigma)
+    value = rule.compute(points)
+    if any(np.isnan(error).all() for error in sigma.values()):
+        # Recordings of a laboratory state no errors: nothing can be carried over.
+        return value, np.full(value.shape, np.nan)
+    return value, propagate_sigma(rule.compute, points, sigma)
 
 
 SOLVER = GeometricSolver()

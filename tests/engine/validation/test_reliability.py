@@ -114,3 +114,10 @@ def test_one_change_in_twenty_exceeds_the_minimal_detectable_change_by_chance():
     first, second = np.random.default_rng(0).normal(0, 2.0, size=(2, 20_000))
     share = np.mean(np.abs(first - second) > minimal_detectable_change(2.0))
     assert share == pytest.approx(0.05, abs=0.005)
+
+
+def test_trials_that_do_not_differ_have_no_reliability():
+    found = compute_icc([[30.0, 32.0]] * 5)
+    assert math.isnan(found.icc_2_1)
+    assert math.isnan(found.icc_3_1)
+    assert math.isnan(found.p)
