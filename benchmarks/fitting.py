@@ -168,7 +168,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--repeats", type=int, default=12)
-    parser.add_argument("--frames", type=int, default=300, help="of the comparison with OpenSim")
+    parser.add_argument("--frames", type=int, default=100, help="of the comparison with OpenSim")
     parser.add_argument("--without-opensim", action="store_true")
     parser.add_argument("--out", type=Path, help="write the tables to this file too")
     options = parser.parse_args()
