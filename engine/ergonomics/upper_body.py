@@ -276,7 +276,13 @@ class BackLoad:
 
 
 def compute_back_load(
-    body: UpperBody, lifts: Sequence[Lift], *, subject: Subject, load_kg: float
+    body: UpperBody,
+    lifts: Sequence[Lift],
+    *,
+    subject: Subject,
+    load_kg: float,
+    joint: Array | None = None,
+    normal: Array | None = None,
 ) -> BackLoad:
     """Compute what acts at L5/S1 in every frame.
 
@@ -290,6 +296,9 @@ def compute_back_load(
         Sex selects the masses; body mass and stature with their errors.
     load_kg
         What is lifted; 0 for the body's own part.
+    joint, normal
+        Shape (T, 3) each: place of L5/S1 and unit vector across its disc. By default on the
+        trunk's line, and along it.
 
     Returns
     -------
@@ -306,14 +315,15 @@ def compute_back_load(
     weights, kg = _mass_points(shares, mass.value, names)
     kg_all = np.concatenate([np.broadcast_to(kg, (len(held), len(kg))), load_kg * grip], axis=1)
     stack = np.stack([body.points[name] for name in names], axis=1)
-    joint = body.l5s1(shares.l5s1_height)
+    joint = body.l5s1(shares.l5s1_height) if joint is None else joint
     hands = stack[:, [names.index(f"{side}_knuckle") for side in ("left", "right")]]
     places = np.concatenate([np.einsum("bk,tkd->tbd", weights, stack), hands], axis=1)
     axes = build_trunk_axes(body.points["hips"], body.points["shoulders"], body.right)
     lever = places - joint[:, None]
-    static = resolve_forces(*compute_top_down(lever, kg_all), axes)
+    static = resolve_forces(*compute_top_down(lever, kg_all), axes, normal=normal)
     acceleration = differentiate_twice(places, body.time_s)
-    dynamic = resolve_forces(*compute_top_down(lever, kg_all, acceleration), axes)
+    moving = compute_top_down(lever, kg_all, acceleration)
+    dynamic = resolve_forces(*moving, axes, normal=normal)
     coefficients = _sensitivity(weights, kg, grip * load_kg, shares, names)
     # Points that nothing hangs on may be unseen.
     sigma = np.where(
