@@ -117,6 +117,26 @@ FACTORS: dict[str, tuple[str, str]] = {
     "CM": ("Grip (C)", "How well the hands can hold the load."),
 }
 
+VALUES: dict[str, str] = {"rnle": "Lifting index"}
+"""What the number of a method is called, where the method itself does not say."""
+
+METHODS: dict[str, str] = {
+    "rnle": "NIOSH lifting equation",
+    "reba": "REBA",
+    "rula": "RULA",
+    "owas": "OWAS",
+    "posture_zones": "Posture zones",
+    "acgih": "ACGIH limit",
+    "iso11228": "ISO 11228-1",
+    "kim_lhc": "Key indicator method",
+    "l5s1": "Low-back load",
+    "lifft": "LiFFT",
+    "lm_mmh": "Liberty Mutual",
+    "rnle_job": "Lifting index of the job",
+    "shoulder_tool": "Shoulder Tool",
+    "disagreement": "All methods",
+}
+
 INPUTS: dict[str, str] = {
     "D": "Travel (D)",
     "H at origin": "Reach at the start (H)",
@@ -276,7 +296,7 @@ def name_stage(stage: str) -> str:
 
 def name_method(method: str) -> str:
     """Return what a risk method is called."""
-    return {"rnle": "NIOSH lifting equation"}.get(method, method.replace("_", " "))
+    return METHODS.get(method, method.replace("_", " "))
 
 
 def format_factor_input(name: str, values: Mapping[str, Any], details: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ TRIALS = "views/trials.py"
 NEW_ASSESSMENT = "views/new_assessment.py"
 TRIAL = "views/trial.py"
 REFERENCE = "views/reference.py"
+RISK = "views/risk.py"
 
 
 def build() -> list[Page]:
@@ -16,6 +17,7 @@ def build() -> list[Page]:
     return [
         st.Page(TRIALS, title="Trials", icon=":material/list:", url_path="trials", default=True),
         st.Page(NEW_ASSESSMENT, title="New assessment", icon=":material/add:", url_path="new"),
+        st.Page(RISK, title="Risk", icon=":material/accessibility_new:", url_path="risk"),
         st.Page(
             REFERENCE, title="Reference", icon=":material/compare_arrows:", url_path="reference"
         ),

@@ -25,6 +25,8 @@ from engine.storage.results import StoredResult
 
 URGENCY = (FlagLevel.HIGH, FlagLevel.REVIEW, FlagLevel.OK)
 LIFTING_INDEX_METHOD = "rnle"
+SHOWN_FLAGS = 4
+"""So many flags are open at once, the verdict among them; the others wait folded up."""
 
 
 def show_title(result: StoredResult) -> None:
@@ -49,9 +51,12 @@ def show_flags(result: StoredResult) -> None:
     flags = sorted(result.flags, key=lambda flag: URGENCY.index(flag.level))
     st.html(_verdict_html(flags[0] if flags else None, result.risk.get(LIFTING_INDEX_METHOD)))
     if len(flags) > 1:
-        others = "".join(_flag_html(flag) for flag in flags[1:])
+        first, more = flags[1:SHOWN_FLAGS], flags[SHOWN_FLAGS:]
         with st.container(border=True):
-            st.html(f"<div>{others}</div>")
+            st.html(f"<div>{''.join(map(_flag_html, first))}</div>")
+        if more:
+            with st.expander(labels.count(len(more), "more flag"), icon=":material/flag:"):
+                st.html(f"<div>{''.join(map(_flag_html, more))}</div>")
 
 
 def _verdict_html(flag: Flag | None, risk: RiskResult | None) -> str:

@@ -14,6 +14,8 @@ if not trial_id:
 result = cache.result(trial_id)
 trial_parts.show_title(result)
 trial_parts.show_flags(result)
+if st.button("Why and when: all methods, moment by moment", icon=":material/accessibility_new:"):
+    st.switch_page(pages.RISK, query_params=state.trial_parameters(trial_id))
 
 video, posture = st.columns([5, 6], gap="large")
 with video:

@@ -184,7 +184,7 @@ def _flag_result(
     start_s, end_s = _find_window(result, lift)
     return Flag(
         level=level,
-        what=what if index is None else f"Lift {index + 1}: {what}",
+        what=what[:1].upper() + what[1:] if index is None else f"Lift {index + 1}: {what}",
         why=why,
         method=result.method,
         start_s=start_s,
@@ -216,7 +216,7 @@ def _judge(
         return FlagLevel.REVIEW, *_describe_no_value(result, title, reasons)
     limits = _read_limits(info)
     doubts = _find_doubts(result, limits, low_coverage)
-    level = _find_level(result.value, limits, has_doubts=bool(doubts))
+    level = _find_level(result, limits, has_doubts=bool(doubts))
     value = (
         _describe_frames(result, info, limits)
         if info is not None and _MOMENTS in result.details
@@ -239,10 +239,13 @@ def _read_limits(info: MethodInfo | None) -> _Limits:
     return _Limits(low, high, bounds, info.decimals)
 
 
-def _find_level(value: float, limits: _Limits, *, has_doubts: bool) -> FlagLevel:
-    if value > limits.high:
+def _find_level(result: RiskResult, limits: _Limits, *, has_doubts: bool) -> FlagLevel:
+    # The worst of hundreds of frames is easily one too many: it alarms only if it is sure.
+    is_frame = _MOMENTS in result.details
+    is_sure = not is_frame or not result.interval[0] <= limits.high
+    if result.value > limits.high and is_sure:
         return FlagLevel.HIGH
-    return FlagLevel.REVIEW if value > limits.low or has_doubts else FlagLevel.OK
+    return FlagLevel.REVIEW if result.value > limits.low or has_doubts else FlagLevel.OK
 
 
 def _upper(result: RiskResult) -> float:

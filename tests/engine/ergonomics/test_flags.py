@@ -240,6 +240,20 @@ class TestPostureFlags:
         assert flags[0].level is FlagLevel.HIGH
         assert "change immediately" in flags[0].why
 
+    def test_the_last_level_needs_to_be_sure_to_alarm(self):
+        flags = posture_flags(
+            methods=("rula",),
+            load_kg=5.0,
+            trunk_flexion=61.0,
+            arms=100.0,
+            adduction=-30.0,
+            elbows=0.0,
+            sigma={"trunk_flexion": 6.0},
+        )
+        assert "RULA score 7" in flags[0].what
+        assert "crosses the limit 6" in flags[0].why
+        assert flags[0].level is FlagLevel.REVIEW
+
     def test_a_design_standard_is_never_an_alarm(self):
         (flag,) = posture_flags(
             methods=("posture_zones",), trunk_flexion=70.0, frequency_per_min=5.0
