@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.datatypes import Measurement, Provenance, Subject
-from engine.ergonomics.methods import acgih, iso11228, lm_mmh, rnle, rnle_job
+from engine.ergonomics.methods import acgih, iso11228, lm_mmh, rnle, rnle_job, rnle_vli
 from engine.ergonomics.work import classify
 from engine.errors import DataError
 from tests.engine.ergonomics.exposures import OCCASIONAL, build_exposure, build_lift
@@ -471,3 +471,21 @@ class TestJob:
         result = run(rnle_job, self.HARD, load_kg=None)
         assert not result.is_applicable
         assert "load is not given" in result.reasons[0]
+
+
+class TestVariableIndex:
+    def test_equal_lifts_give_the_lifting_index(self):
+        lift = TestJob.HARD
+        result = run(rnle_vli, *[lift] * 7, frequency_per_min=4.0, destination_control=False)
+        # The table's column differs: the categories are read from 75 cm upwards.
+        expected = 15 / 10.572 / 0.84
+        assert result.value == pytest.approx(expected, abs=1e-3)
+        assert result.details["cli"] == pytest.approx(expected, abs=1e-3)
+
+    def test_few_lifts_are_a_doubt(self):
+        doubts = run(rnle_vli, TestJob.HARD, TestJob.EASY).details["doubts"]
+        assert any("too few" in d for d in doubts)
+
+    def test_is_experimental_and_passes_refusals_on(self):
+        assert rnle_vli.METHOD.info.is_experimental
+        assert not run(rnle_vli, TestJob.HARD, load_kg=None).is_applicable
