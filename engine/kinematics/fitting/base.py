@@ -27,7 +27,13 @@ __all__ = [
     "select_solver",
 ]
 
-VERTICAL_ANGLES = ("trunk_inclination", "trunk_flexion", "trunk_lateral_bend")
+VERTICAL_ANGLES = (
+    "trunk_inclination",
+    "trunk_flexion",
+    "trunk_lateral_bend",
+    "pelvis_tilt",
+    "pelvis_list",
+)
 """Angles against the vertical, which is itself only estimated."""
 
 _NOT_SOLVERS = ("base",)
