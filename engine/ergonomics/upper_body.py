@@ -262,7 +262,8 @@ class BackLoad:
     """Moments and forces at L5/S1 over time, with standard errors (N m, N; shape (T,)).
 
     `static` leaves accelerations out, `dynamic` counts them (NaN where they can't be derived).
-    `load_kg` (T,) is what the hands hold, `load_lever_m` (T,) its horizontal distance from L5/S1.
+    `variances_n2` splits the variance of the compression by its cause. `load_kg` (T,) is what the
+    hands hold, `load_lever_m` (T,) its horizontal distance from L5/S1.
     """
 
     time_s: Array
@@ -270,6 +271,7 @@ class BackLoad:
     dynamic: SpineForces
     flexion_sigma_nm: Array
     compression_sigma_n: Array
+    variances_n2: Mapping[str, Array]
     load_kg: Array
     load_lever_m: Array
     load_lever_sigma_m: Array
@@ -331,16 +333,18 @@ def compute_back_load(
     )
     load_moment = _load_moment(hands - joint[:, None], grip * load_kg, axes.right)
     total_n = GRAVITY_M_S2 * (kg.sum() + held * load_kg)
-    spread = _flexion_sigma(
+    of_moment = _moment_variances(
         static.flexion_nm, coefficients * sigma, total_n, load_moment, mass, subject
     )
+    of_compression = _compression_variances(static.flexion_nm, of_moment)
     load_lever, load_lever_sigma = measure_load_lever(body, lifts, subject)
     return BackLoad(
         time_s=body.time_s,
         static=static,
         dynamic=dynamic,
-        flexion_sigma_nm=spread,
-        compression_sigma_n=_compression_sigma(static.flexion_nm, spread),
+        flexion_sigma_nm=np.sqrt(sum(of_moment.values())),
+        compression_sigma_n=np.sqrt(sum(of_compression.values())),
+        variances_n2=of_compression,
         load_kg=held * load_kg,
         load_lever_m=load_lever,
         load_lever_sigma_m=load_lever_sigma,
@@ -430,28 +434,30 @@ def _sensitivity(
     return np.asarray(GRAVITY_M_S2 * table)
 
 
-def _flexion_sigma(
+def _moment_variances(
     flexion: Array,
     of_points: Array,
     total_n: Array,
     load_moment: Array,
     mass: Measurement,
     subject: Subject,
-) -> Array:
-    parts = (
-        *of_points.T,
-        total_n * L5S1_SIGMA_M,
-        flexion * (subject.stature.sigma / subject.stature.value),
-        (flexion - load_moment) * (mass.sigma / mass.value),
-        load_moment * LOAD_SIGMA,
-    )
-    return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
+) -> dict[str, Array]:
+    """Return the variance of the flexion moment by what causes it, (N m)^2, shape (T,) each."""
+    return {
+        "the keypoints": np.sum(of_points**2, axis=1),
+        "the place of L5/S1": (total_n * L5S1_SIGMA_M) ** 2,
+        "the stature": (flexion * subject.stature.sigma / subject.stature.value) ** 2,
+        "the body mass": ((flexion - load_moment) * mass.sigma / mass.value) ** 2,
+        "the load": (load_moment * LOAD_SIGMA) ** 2,
+    }
 
 
-def _compression_sigma(flexion: Array, flexion_sigma: Array) -> Array:
+def _compression_variances(flexion: Array, of_moment: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the variance of the compression by what causes it, N^2."""
     muscle = np.maximum(flexion, 0.0) / EXTENSOR_LEVER_M
-    lever = muscle * EXTENSOR_LEVER_SIGMA_M / EXTENSOR_LEVER_M
-    return np.hypot(flexion_sigma / EXTENSOR_LEVER_M, lever)
+    lever = (muscle * EXTENSOR_LEVER_SIGMA_M / EXTENSOR_LEVER_M) ** 2
+    parts = {name: variance / EXTENSOR_LEVER_M**2 for name, variance in of_moment.items()}
+    return {**parts, "the muscle's lever arm": lever}
 
 
 def _lever_sigma(body: UpperBody, grip: Array, subject: Subject) -> Array:

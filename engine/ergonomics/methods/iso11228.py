@@ -92,11 +92,8 @@ class Iso11228:
                 f"the load is {load:g} kg; the standard is for {MIN_LOAD_KG:g} kg or more",
             )
         whole = RNLE.assess(exposure)
-        if not whole.is_applicable:
-            return replace(
-                refuse(self.info, *whole.reasons),
-                per_lift=tuple(replace(p, method=self.info.name) for p in whole.per_lift),
-            )
+        if not whole.per_lift:
+            return refuse(self.info, *whole.reasons)
         return combine_lifts(self.info, [self._convert(p, exposure) for p in whole.per_lift])
 
     def _convert(self, part: RiskResult, exposure: Exposure) -> RiskResult:

@@ -178,6 +178,7 @@ class KimLhc:
         "KIM-LHC: time and load ratings [V2].",
         verification="V1",
         levels=LEVELS,
+        required_angles=("trunk_inclination",),
         value_name="key indicator score",
         decimals=0,
         description="Score of time, load, posture and working conditions; single-source. "

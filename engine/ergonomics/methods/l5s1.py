@@ -59,6 +59,8 @@ LEVELS: tuple[RiskLevel, ...] = (
     ),
 )
 MODEL_NOTE = (
+    "The headline leaves accelerations out, as the static models did that the limits were set "
+    "with; the peak with accelerations, usually higher, stands beside it. "
     "One equivalent muscle balances forward bending only: sideways and twisting moments are shown "
     "but add no compression, so that asymmetric lifts load the back more than stated. The "
     "interval holds the errors of what went in, not the simplicity of the model."
@@ -295,6 +297,10 @@ def _explain(
 
 def _details(load: BackLoad, frames: Frames, peak: _Peak, moving: _Peak | None) -> dict[str, Any]:
     time_s, static = load.time_s, load.static
+    causes = {name: float(curve[peak.frame]) for name, curve in load.variances_n2.items()}
+    total = sum(causes.values())
+    shares = {name: variance / total if total > 0 else 0.0 for name, variance in causes.items()}
+    is_known = math.isfinite(total) and total > 0
     quiet = dict.fromkeys(peak.forces, math.nan)
     return {
         "peak_s": peak.time_s,
@@ -303,6 +309,8 @@ def _details(load: BackLoad, frames: Frames, peak: _Peak, moving: _Peak | None) 
         "dynamic_peak_s": math.nan if moving is None else moving.time_s,
         "flexion_sigma_nm": float(load.flexion_sigma_nm[peak.frame]),
         "compression_sigma_n": float(load.compression_sigma_n[peak.frame]),
+        "uncertainty_shares": shares,
+        "dominant_input": max(shares, key=lambda name: shares[name]) if is_known else "",
         "load_lever_cm": 100 * float(load.load_lever_m[peak.frame]),
         "cumulative_moment_lift_nm_s": _integrate(static.flexion_nm[frames], time_s[frames]),
         "cumulative_moment_nm_s": _integrate(static.flexion_nm, time_s),

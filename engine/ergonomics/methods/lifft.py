@@ -98,7 +98,6 @@ class Lifft:
         verification="V2",
         levels=LEVELS,
         value_name="low-back damage, probability of a high-risk job",
-        decimals=0,
         description="Probability that a day of these lifts belongs to a job with many low-back "
         "injuries, from the load's moment about L5/S1 and the number of lifts a day. The bending "
         "of the trunk is not part of the tool.",

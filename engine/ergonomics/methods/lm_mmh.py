@@ -315,7 +315,6 @@ class LibertyMutual:
         verification="V2",
         levels=LEVELS,
         value_name="women for whom the load is too heavy",
-        decimals=0,
         description="Percentage of women for whom the load is too heavy through a day of 8 h; "
         "the design criterion is acceptance by 75 % of women. Men are shown beside it.",
     )

@@ -119,7 +119,6 @@ class ShoulderTool:
         verification="V2",
         levels=LEVELS,
         value_name="shoulder damage, probability of a harmful job",
-        decimals=0,
         description="Probability that a day of these lifts belongs to a job that harms shoulders, "
         "from the horizontal distance shoulder to load and the number of lifts a day. "
         + BANDS_NOTE,

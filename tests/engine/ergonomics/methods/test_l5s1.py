@@ -75,6 +75,14 @@ class TestInterval:
         assert (high - low) / 2 == pytest.approx(1.96 * sigma)
         assert low < result.value < high
 
+    def test_shares_of_the_error_sum_to_one_and_name_the_largest(self):
+        sure, unsure = assess(sigma=0.0).details, assess(sigma=0.2).details
+        for details in (sure, unsure):
+            assert sum(details["uncertainty_shares"].values()) == pytest.approx(1.0)
+        assert sure["uncertainty_shares"]["the keypoints"] == 0.0
+        assert unsure["dominant_input"] == "the keypoints"
+        assert assess(sigma=NAN).details["dominant_input"] == ""
+
     def test_unknown_error_is_an_unknown_interval_and_a_doubt(self):
         result = assess(sigma=NAN)
         assert np.isnan(result.interval).all()
