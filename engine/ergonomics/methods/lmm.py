@@ -63,7 +63,8 @@ def compute_features(
         name = next((n for n in names if _is_known(angles, n)), None)
         curves[feature] = np.full(angles.time_s.shape, np.nan) if name is None else angles[name]
         if name == names[1]:
-            notes.append(f"{name} stands in for {names[0]}, which overstates it")
+            words = [n.replace("_", " ") for n in names]
+            notes.append(f"{words[1]} stands in for {words[0]}, which overstates it")
     rows = [_measure_lift(angles.time_s, curves, lift) for lift in lifts]
     mean = [_mean([row[k] for row in rows]) for k in range(3)]
     return (

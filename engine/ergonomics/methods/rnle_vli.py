@@ -41,8 +41,8 @@ class RnleVli:
         doubts = ["experimental: the grouping of the lifts was not checked"]
         if len(tasks) < N_VLI_CATEGORIES:
             doubts.append(
-                f"{len(tasks)} lifts are too few for {N_VLI_CATEGORIES} categories; see the "
-                "composite index"
+                f"fewer than {N_VLI_CATEGORIES} lifts are too few for {N_VLI_CATEGORIES} categories; "
+                "see the composite index"
             )
         doubts += job.details["doubts"]
         return RiskResult(
