@@ -41,8 +41,8 @@ class RnleVli:
         doubts = ["experimental: the grouping of the lifts was not checked"]
         if len(tasks) < N_VLI_CATEGORIES:
             doubts.append(
-                f"fewer than {N_VLI_CATEGORIES} lifts can't fill the {N_VLI_CATEGORIES} categories: "
-                "too few for this index; see the composite one"
+                f"fewer than {N_VLI_CATEGORIES} lifts can't fill the categories: too few for this "
+                "index; see the composite one"
             )
         doubts += job.details["doubts"]
         return RiskResult(
