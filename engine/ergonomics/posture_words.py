@@ -35,7 +35,8 @@ def format_signal(signal: Signal) -> str:
 def describe_posture(moment: Posture) -> str:
     """Say in a few words how a person stands in one frame."""
     values = {name: float(signal.value[0]) for name, signal in moment.signals.items()}
-    words = [f"trunk {values['trunk_flexion']:.0f} deg forward"]
+    bend = values["trunk_flexion"]
+    words = [f"trunk {abs(bend):.0f} deg {'backward' if round(bend) < 0 else 'forward'}"]
     for name, limit, word in (
         ("trunk_twist", THRESHOLDS.twist_deg, "twisted"),
         ("trunk_lateral_bend", THRESHOLDS.side_bend_deg, "bent sideways"),
@@ -47,7 +48,7 @@ def describe_posture(moment: Posture) -> str:
     if np.isfinite(knees).any() and np.nanmax(knees) > 30:
         words.append(f"knees {np.nanmax(knees):.0f} deg")
     if np.isfinite(arms).any() and np.nanmax(arms) > 45:
-        words.append(f"upper arm {np.nanmax(arms):.0f} deg forward")
+        words.append(f"upper arm {np.nanmax(arms):.0f} deg raised")
     if moment.has_load[0] and moment.task.load_kg:
         words.append(f"{moment.task.load_kg:g} kg in the hands")
     return ", ".join(words)

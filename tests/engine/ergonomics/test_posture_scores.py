@@ -100,6 +100,21 @@ def test_a_moved_camera_is_a_doubt(method):
     assert any("the camera moved" in doubt for doubt in result.details["doubts"])
 
 
+@pytest.mark.parametrize(
+    ("angles", "words"),
+    [
+        ({"trunk_flexion": 40.0}, "trunk 40 deg forward"),
+        ({"trunk_flexion": -30.0}, "trunk 30 deg backward"),
+        ({"trunk_twist": -25.0}, "trunk 0 deg forward, twisted 25 deg"),
+        ({"knees": 50.0, "shoulder_flexion_r": 80.0}, "knees 50 deg, upper arm 80 deg raised"),
+        ({"knees": math.nan, "arms": math.nan}, "trunk 0 deg forward"),
+    ],
+)
+def test_the_worst_posture_is_told_in_words(angles, words):
+    (moment,) = METHODS["reba"].assess(build_posture(**angles)).details["worst_moments"]
+    assert moment["posture"].endswith(words)
+
+
 def test_details_of_ten_seconds_stay_small():
     t = np.arange(300) / 30
     exposure = build_posture(
