@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
 
@@ -178,6 +179,7 @@ class Posture:
         }
 
 
+@lru_cache(maxsize=1)  # four methods ask for the same exposure, one after another
 def read_posture(exposure: Exposure) -> Posture | None:
     """Collect what the posture methods need.
 

@@ -29,6 +29,9 @@ UNKNOWN_SIGMA_DEG = 360.0 / np.sqrt(12.0)
 INDEPENDENT_AFTER_S = 0.1
 """Samples of a track smoothed at some 6 Hz repeat each other's errors within this time."""
 
+FRAMES_AT_ONCE = 2048
+"""Keeps the memory for the copies below some 20 MB, however long the clip."""
+
 WITHOUT_PELVIS = ("hip_flexion_l", "hip_flexion_r")
 """Measured against the trunk line here, against the pelvis by solvers with a body model."""
 
@@ -157,18 +160,31 @@ def propagate_sigma(compute: AngleFunction, points: Points, sigma: Points) -> Ar
     unsigned angles (a straight knee), where central differences would cancel to zero.
     """
     centre = compute(points)
-    variance = np.zeros_like(centre)
-    is_known = np.ones(centre.shape[0], dtype=bool)
-    for name, position in points.items():
-        is_known &= np.isfinite(sigma[name])
-        for axis in np.eye(3):
-            step = sigma[name][:, None] * axis
-            for moved in (position + step, position - step):
-                change = compute({**points, name: moved}) - centre
-                change = (change + 180.0) % 360.0 - 180.0
-                variance += np.nan_to_num(change, nan=UNKNOWN_SIGMA_DEG) ** 2 / 2
+    is_known = np.all([np.isfinite(sigma[name]) for name in points], axis=0)
+    variance = np.empty_like(centre)
+    for start in range(0, len(centre), FRAMES_AT_ONCE):
+        part = slice(start, start + FRAMES_AT_ONCE)
+        # All moved copies one after another in time: the angles of a frame need no other frame.
+        copies = _move_each(*({k: v[part] for k, v in each.items()} for each in (points, sigma)))
+        change = compute(copies).reshape(-1, *centre[part].shape) - centre[part]
+        change = (change + 180.0) % 360.0 - 180.0
+        variance[part] = (np.nan_to_num(change, nan=UNKNOWN_SIGMA_DEG) ** 2 / 2).sum(axis=0)
     total = np.minimum(np.sqrt(variance), UNKNOWN_SIGMA_DEG)
     return np.where(is_known[:, None] & np.isfinite(centre), total, np.nan)
+
+
+def _move_each(points: Points, sigma: Points) -> Points:
+    """Return copies of all points, one for each coordinate that moves up or down by its error.
+
+    Shape (6 * len(points) * T, 3) each.
+    """
+    n_copies = 6 * len(points)
+    moved = {name: np.tile(position, (n_copies, 1, 1)) for name, position in points.items()}
+    for i, name in enumerate(points):
+        for axis in range(3):
+            moved[name][6 * i + axis, :, axis] += sigma[name]
+            moved[name][6 * i + 3 + axis, :, axis] -= sigma[name]
+    return {name: copies.reshape(-1, 3) for name, copies in moved.items()}
 
 
 def _worst_status(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
