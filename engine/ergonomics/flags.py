@@ -78,8 +78,9 @@ def raise_flags(
     Returns
     -------
     tuple of Flag
-        One flag per lift and method (or per method, where it judges the whole trial), and one
-        each for a trial without lifts and one with many missing keypoints.
+        One flag per lift and method (or per method, where it judges the whole trial), one for all
+        further methods that can't be used, and one each for a trial without lifts and one with
+        many missing keypoints.
     """
     low = _describe_low_coverage(coverage, min_measured)
     flags = [] if low is None else [_flag_coverage(low)]
@@ -87,13 +88,18 @@ def raise_flags(
         flags.append(_flag_no_lifts())
     infos = {method.info.name: method.info for method in list_methods()}
     judged: list[Flag] = []
+    refused: dict[str, str] = {}
     for result in risk.values():
         # Without lifts the flag above says it once, instead of every lifting method again.
         if not lifts and not result.is_applicable:
             continue
         for part in result.per_lift or (result,):
-            judged.append(_flag_result(part, infos.get(part.method), lifts, low))
-    flags += [*judged, *_flag_disagreement(risk, judged, infos)]
+            if part.is_applicable or _is_rnle(part):
+                judged.append(_flag_result(part, infos.get(part.method), lifts, low))
+            else:
+                title = _name_method(part, infos.get(part.method))
+                refused.setdefault(title, _join_reasons(part))
+    flags += [*judged, *_flag_refused(refused), *_flag_disagreement(risk, judged, infos)]
     return tuple(sorted(flags, key=_sort_key))
 
 
@@ -131,6 +137,23 @@ def _flag_no_lifts() -> Flag:
         "the notes say what was left out.",
         method="lifts",
         change="Check that the video shows the whole lift, with the hands in view.",
+    )
+
+
+def _flag_refused(refused: Mapping[str, str]) -> Iterator[Flag]:
+    """Say once which methods can't be used, and why: mostly all lack the same."""
+    if not refused:
+        return
+    because: dict[str, list[str]] = {}
+    for title, reasons in refused.items():
+        because.setdefault(reasons, []).append(title)
+    why = " ".join(f"{', '.join(titles)}: {reasons}" for reasons, titles in because.items())
+    number = "1 method" if len(refused) == 1 else f"{len(refused)} methods"
+    yield Flag(
+        level=FlagLevel.REVIEW,
+        what=f"{number} can't be used here",
+        why=f"{why} That is no statement about the risk.",
+        method="methods",
     )
 
 
@@ -206,8 +229,8 @@ def _judge(
     result: RiskResult, info: MethodInfo | None, low_coverage: str | None
 ) -> tuple[FlagLevel, str, str, str]:
     """Return level, what, why and change."""
-    title = result.method if info is None else info.title
-    reasons = " ".join(_sentence(reason) for reason in result.reasons)
+    title = _name_method(result, info)
+    reasons = _join_reasons(result)
     if not result.is_applicable:
         what = f"{title} can't be used here"
         why = f"{reasons} That is no statement about the risk.".strip()
@@ -258,7 +281,7 @@ def _find_doubts(result: RiskResult, limits: _Limits, low_coverage: str | None) 
     crossed = limits.bounds if _MOMENTS in result.details else (limits.low, limits.high)
     doubts = [
         f"the interval crosses the limit {_format_limit(limit, limits)}"
-        for limit in crossed
+        for limit in dict.fromkeys(crossed)
         if result.interval[0] <= limit < result.interval[1]
     ]
     dominant = result.details.get("dominant_input")
@@ -280,6 +303,14 @@ def _find_doubts(result: RiskResult, limits: _Limits, low_coverage: str | None) 
 def _sentence(text: str) -> str:
     text = text.strip()
     return f"{text[:1].upper()}{text[1:]}" + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def _join_reasons(result: RiskResult) -> str:
+    return " ".join(_sentence(reason) for reason in result.reasons)
+
+
+def _name_method(result: RiskResult, info: MethodInfo | None) -> str:
+    return result.method if info is None else info.title
 
 
 def _is_rnle(result: RiskResult) -> bool:

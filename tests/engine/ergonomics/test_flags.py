@@ -146,6 +146,27 @@ class TestContent:
         assert math.isnan(flag.start_s)
 
 
+class TestRefused:
+    def test_methods_that_lack_the_same_are_said_once(self):
+        lifts = (build_lift(),)
+        exposure = build_exposure(*lifts, **{**OCCASIONAL, "load_kg": None})
+        risk = assess_risk(exposure)
+        refused = [name for name, result in risk.items() if not result.is_applicable]
+        assert len(refused) > 2
+        flags = [f for f in raise_flags(risk, lifts, SEEN) if "can't be used here" in f.what]
+        assert [f.what for f in flags] == [f"{len(refused)} methods can't be used here"]
+        assert flags[0].level is FlagLevel.REVIEW
+        assert "oad" in flags[0].why
+        assert flags[0].why.endswith("That is no statement about the risk.")
+
+    def test_a_limit_is_named_once(self):
+        lifts = (build_lift(sigma=(6.0, 4.0, 8.0)),)
+        exposure = build_exposure(*lifts, **{**OCCASIONAL, "load_kg": 15.0})
+        for flag in raise_flags(assess_risk(exposure), lifts, SEEN):
+            sentences = [s for s in flag.why.split(". ") if "crosses the limit" in s]
+            assert len(sentences) == len(set(sentences)), flag.why
+
+
 class TestChange:
     def case(self, origin=(40.0, 30.0, 0.0), destination=None, **changes):
         values = {
