@@ -91,7 +91,7 @@ def raise_flags(
     refused: dict[str, str] = {}
     for result in risk.values():
         # Without lifts the flag above says it once, instead of every lifting method again.
-        if not lifts and not result.is_applicable:
+        if (not lifts and not result.is_applicable) or _repeats_rnle(result, risk):
             continue
         for part in result.per_lift or (result,):
             if part.is_applicable or _is_rnle(part):
@@ -138,6 +138,12 @@ def _flag_no_lifts() -> Flag:
         method="lifts",
         change="Check that the video shows the whole lift, with the hands in view.",
     )
+
+
+def _repeats_rnle(result: RiskResult, risk: Mapping[str, RiskResult]) -> bool:
+    """Whether this is the index of a job of one lift, which is that lift's own index."""
+    single = risk.get(RNLE.info.name)
+    return result.method == "rnle_job" and single is not None and single.value == result.value
 
 
 def _flag_refused(refused: Mapping[str, str]) -> Iterator[Flag]:
