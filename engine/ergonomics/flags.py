@@ -269,9 +269,10 @@ def _read_limits(info: MethodInfo | None) -> _Limits:
 
 
 def _find_level(result: RiskResult, limits: _Limits, *, has_doubts: bool) -> FlagLevel:
-    # The worst of hundreds of frames is easily one too many: it alarms only if it is sure.
-    is_frame = _MOMENTS in result.details
-    is_sure = not is_frame or not result.interval[0] <= limits.high
+    # The worst of hundreds of frames is easily one too many, and a limit without a range of
+    # caution below it is easily crossed by an error: both alarm only if it is sure.
+    needs_surety = _MOMENTS in result.details or limits.low == limits.high
+    is_sure = not needs_surety or not result.interval[0] <= limits.high
     if result.value > limits.high and is_sure:
         return FlagLevel.HIGH
     return FlagLevel.REVIEW if result.value > limits.low or has_doubts else FlagLevel.OK

@@ -166,6 +166,15 @@ class TestRefused:
             sentences = [s for s in flag.why.split(". ") if "crosses the limit" in s]
             assert len(sentences) == len(set(sentences)), flag.why
 
+    @pytest.mark.parametrize(
+        ("interval", "level"),
+        [((0.7, math.inf), FlagLevel.REVIEW), ((1.1, math.inf), FlagLevel.HIGH)],
+    )
+    def test_a_single_limit_alarms_only_when_it_is_surely_passed(self, interval, level):
+        result = RiskResult("acgih", math.inf, "above the limit", interval=interval)
+        (flag,) = raise_flags({"acgih": result}, (build_lift(),), SEEN)
+        assert flag.level is level
+
 
 class TestChange:
     def case(self, origin=(40.0, 30.0, 0.0), destination=None, **changes):
