@@ -103,8 +103,10 @@ def raise_flags(
     return tuple(sorted(flags, key=_sort_key))
 
 
-def _sort_key(flag: Flag) -> tuple[int, float]:
-    return _URGENCY[flag.level], math.inf if math.isnan(flag.start_s) else flag.start_s
+def _sort_key(flag: Flag) -> tuple[int, bool, float]:
+    # Of equally urgent flags the lifting equation's comes first: it is about the lift itself.
+    start_s = math.inf if math.isnan(flag.start_s) else flag.start_s
+    return _URGENCY[flag.level], flag.method != RNLE.info.name, start_s
 
 
 def _describe_low_coverage(coverage: Mapping[str, float], min_measured: float) -> str | None:

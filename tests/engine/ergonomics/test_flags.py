@@ -175,6 +175,17 @@ class TestRefused:
         (flag,) = raise_flags({"acgih": result}, (build_lift(),), SEEN)
         assert flag.level is level
 
+    def test_of_equally_urgent_flags_the_lifting_equation_comes_first(self):
+        lifts = (build_lift(),)
+        exposure = build_exposure(*lifts, **{**OCCASIONAL, "load_kg": 15.0})
+        flags = raise_flags(assess_risk(exposure), lifts, SEEN)
+        assert [f.level for f in flags] == sorted(
+            (f.level for f in flags), key=[FlagLevel.HIGH, FlagLevel.REVIEW, FlagLevel.OK].index
+        )
+        same = [f.method for f in flags if f.level is FlagLevel.REVIEW]
+        assert len(same) > 2
+        assert same[0] == "rnle"
+
 
 class TestChange:
     def case(self, origin=(40.0, 30.0, 0.0), destination=None, **changes):
