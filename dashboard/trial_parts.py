@@ -176,7 +176,8 @@ def show_angles(result: StoredResult) -> None:
         st.info("No joint angle could be measured.", icon=":material/search_off:")
         return
     first = next(iter(there))
-    joint = st.segmented_control(
+    # Pills wrap; a body model has more joints than fit beside each other.
+    joint = st.pills(
         "Joint", list(there), default=first, required=True, label_visibility="collapsed"
     )
     names = there[joint or first]
