@@ -44,6 +44,8 @@ OffsetMethod = Literal["none", "median", "start"]
 
 MIN_CORRELATION = 0.75
 """Unlike movements reach 0.7 by chance, as one of the peaks of any two recordings fits best."""
+MIN_EXPLAINED = 0.6
+"""Lifts filmed by one camera explain 0.7 and more of their own reference, squats 0.55 at most."""
 SWAP_GAIN = 0.15
 """Sides count as exchanged when the correlation gains more than this by exchanging them."""
 UNIT_FACTOR = 20.0
@@ -143,6 +145,7 @@ def estimate_lag(
     names: Sequence[str] | None = None,
     max_lag_s: float | None = None,
     min_correlation: float = MIN_CORRELATION,
+    min_explained: float = MIN_EXPLAINED,
 ) -> TimeAlignment:
     """Find the shift in time that fits the curves best.
 
@@ -161,6 +164,9 @@ def estimate_lag(
         shorter recording).
     min_correlation
         Below this the recordings count as different movements.
+    min_explained
+        The same for the share of the reference's variance that the result explains as it is,
+        constant offsets aside. Other movements of bending people correlate, but differ in size.
 
     Raises
     ------
@@ -185,12 +191,14 @@ def estimate_lag(
     lag = refine_peak(search, best)
     runner, runner_r = find_runner_up(search, best)
     single = dict(zip(search.names, map(float, search.single[:, best]), strict=True))
-    lag_sigma = _estimate_lag_sigma(result, reference, search.names, lag)
-    _refuse_wrong_unit(result, reference, search.names, lag)
+    time, aligned, moved = _paired_at(result, reference, search.names, lag)
+    _refuse_wrong_unit(aligned, moved)
     opposite = tuple(name for name, r in single.items() if r < OPPOSITE)
+    alike = [name not in opposite for name in search.names]
+    _refuse_other_movement(aligned[:, alike], moved[:, alike], lag, min_explained)
     return TimeAlignment(
         lag_s=lag,
-        lag_sigma_s=lag_sigma,
+        lag_sigma_s=_estimate_lag_sigma(time, aligned, moved),
         correlation=float(search.pooled[best]),
         correlations=single,
         overlap_s=float(search.overlap_s[best]),
@@ -250,15 +258,12 @@ def _paired_at(
     )
 
 
-def _estimate_lag_sigma(
-    result: JointAngles, reference: JointAngles, names: Sequence[str], lag_s: float
-) -> float:
+def _estimate_lag_sigma(time: Array, own: Array, other: Array) -> float:
     """Return the standard error of the lag by the sandwich rule over blocks of half a second.
 
     A residual e moves the best lag by sum(e dx/dt) / sum((dx/dt)^2). Residuals of neighbouring
     samples go together, so their products are summed per block before they are squared.
     """
-    time, own, other = _paired_at(result, reference, names, lag_s)
     if time.size < 3:
         return float("nan")
     # Slopes of noise would look like steepness, so they are taken from smoothed curves.
@@ -314,12 +319,9 @@ def _best(search: LagSearch) -> float:
     return float(search.pooled[find_peak(search)])
 
 
-def _refuse_wrong_unit(
-    result: JointAngles, reference: JointAngles, names: Sequence[str], lag_s: float
-) -> None:
+def _refuse_wrong_unit(own: Array, other: Array) -> None:
     """Refuse a reference whose curves are some 57 times too small or too large."""
-    _, own, other = _paired_at(result, reference, names, lag_s)
-    moves = [(excursion(other[:, i]), excursion(own[:, i])) for i in range(len(names))]
+    moves = [(excursion(other[:, i]), excursion(own[:, i])) for i in range(own.shape[1])]
     ratios = [theirs / ours for theirs, ours in moves if ours > 0]
     if not ratios:
         return
@@ -329,6 +331,24 @@ def _refuse_wrong_unit(
         raise UnitError(
             f"The angles of the reference move {ratio:.3g} times as much as those of the result; "
             f"they look like {word}. Set angle_unit = '{word[:3]}' in an import profile."
+        )
+
+
+def _refuse_other_movement(own: Array, other: Array, lag_s: float, min_explained: float) -> None:
+    """Refuse curves that rise and fall together but by other amounts."""
+    known = np.isfinite(own) & np.isfinite(other)
+    difference = np.where(known, own - other, np.nan)[:, known.sum(axis=0) >= 2]
+    reached = np.where(known, other, np.nan)[:, known.sum(axis=0) >= 2]
+    total = float(np.nanvar(reached, axis=0).sum()) if reached.size else 0.0
+    if total <= 0:
+        return
+    explained = 1.0 - float(np.nanvar(difference, axis=0).sum()) / total
+    if explained < min_explained:
+        raise DataError(
+            f"The reference does not fit the result: at the best lag of {lag_s:.2f} s the angles "
+            f"rise and fall together, but explain only {100 * max(0.0, explained):.0f} % of the "
+            f"reference's movement; expected at least {100 * min_explained:.0f} %. Is it the same "
+            "person and movement?"
         )
 
 

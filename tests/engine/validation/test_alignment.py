@@ -114,6 +114,14 @@ def test_another_movement_is_refused():
         estimate_lag(record(), JointAngles(time, steps, NAMES))
 
 
+def test_a_movement_of_like_shape_but_other_size_is_refused():
+    # A squat bends the knees where a stoop bends the trunk: the curves correlate, no more.
+    other = record(rate_hz=100, change=lambda v: v * [0.3, 0.3, 0.3, 0.8, 0.8])
+    with pytest.raises(DataError, match=r"explain only \d+ % of the reference's movement"):
+        estimate_lag(record(), other)
+    assert estimate_lag(record(), other, min_explained=-9.0).correlation > 0.9
+
+
 def test_exchanged_sides_are_refused_with_the_remedy():
     swapped = swap_sides(record(rate_hz=100, lag_s=0.2))
     with pytest.raises(DataError, match=r"Left and right look exchanged.*swap_sides"):
