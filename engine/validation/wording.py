@@ -44,10 +44,10 @@ class Purpose:
 
 
 PURPOSES = (
-    Purpose("bands 30° wide (knee in REBA)", 30.0),
-    Purpose("bands 20° wide (trunk in REBA and RULA)", 20.0),
-    Purpose("bands 10° wide (neck in RULA)", 10.0),
-    Purpose("steps of 5° (ankle)", 5.0),
+    Purpose("bands 30° wide (such as the knee's in REBA)", 30.0),
+    Purpose("bands 20° wide (such as the trunk's in REBA and RULA)", 20.0),
+    Purpose("bands 10° wide (such as the neck's in RULA)", 10.0),
+    Purpose("steps of 5° (such as the ankle's)", 5.0),
 )
 """Widest first. An angle in the middle of a band stays in it if its error is under half the width.
 

@@ -64,7 +64,7 @@ def test_the_sentence_says_what_the_numbers_say():
     assert found.pooled.p95_deg <= within < found.pooled.p95_deg + 0.1
     assert f"(3200 frames, worth {math.floor(found.pooled.n_effective)} independent, " in text
     assert "of 8 trials, 8 persons)." in text
-    assert "Good enough for bands 20° wide (trunk in REBA and RULA)" in text
+    assert "Good enough for bands 20° wide (such as the trunk's in REBA and RULA)" in text
     assert "not for bands 10° wide" in text
 
 
@@ -99,7 +99,8 @@ def test_a_trial_without_independent_frames_claims_nothing():
     assert "too few to tell from chance" in text
     assert "worth 1 independent" in text
     assert "Good enough" not in text
-    assert ". Too few data to say for bands 30° wide (knee in REBA), not good enough for" in text
+    wide = "bands 30° wide (such as the knee's in REBA)"
+    assert f". Too few data to say for {wide}, not good enough for" in text
 
 
 def test_long_tails_do_not_pass_by_their_standard_deviation():
