@@ -257,24 +257,44 @@ def agreement(trial_id: str) -> Agreement:
     EngineError
         If the recording can't be used, or does not fit the trial.
     """
+    return pooled_agreement((trial_id,))
+
+
+def pooled_agreement(trial_ids: tuple[str, ...]) -> Agreement:
+    """Return the comparison of several trials with the recordings kept with them.
+
+    Raises
+    ------
+    EngineError
+        If a recording can't be used, or does not fit its trial.
+    """
+    return _compare(trial_ids, tuple(_comparison_stamp(trial_id) for trial_id in trial_ids))
+
+
+def _comparison_stamp(trial_id: str) -> tuple[str, int, int, int]:
+    """Return what changes when a trial or its recording does."""
     path = reference_file(trial_id)
     if path is None:
         raise DataError("No reference recording is kept with this trial; add one.")
-    stamp = (library().folder(trial_id) / "trial.json").stat().st_mtime_ns
-    return _compare(trial_id, str(path), (stamp, *_reference_stamp(path)))
+    document = library().folder(trial_id) / "trial.json"
+    return (str(path), document.stat().st_mtime_ns, *_reference_stamp(path))
 
 
 @st.cache_resource(max_entries=8, show_spinner=False)
-def _compare(trial_id: str, path: str, stamp: tuple[int, ...]) -> Agreement:
-    return compare_results([(result(trial_id), reference(trial_id))])
+def _compare(
+    trial_ids: tuple[str, ...], stamps: tuple[tuple[str, int, int, int], ...]
+) -> Agreement:
+    return compare_results([(result(name), reference(name)) for name in trial_ids])
 
 
-def zip_agreement(trial_id: str) -> bytes:
+def zip_agreement(*trial_ids: str) -> bytes:
     """Return everything that `liftlens validate` writes, as a zip file."""
+    outcome = render_outcome(pooled_agreement(trial_ids), version=__version__)
+    folder = f"{trial_ids[0]}_agreement" if len(trial_ids) == 1 else "pooled_agreement"
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in render_outcome(agreement(trial_id), version=__version__).items():
-            archive.writestr(f"{trial_id}_agreement/{name}", content)
+        for name, content in outcome.items():
+            archive.writestr(f"{folder}/{name}", content)
     return buffer.getvalue()
 
 

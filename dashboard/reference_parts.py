@@ -214,7 +214,7 @@ def show_statements(agreement: Agreement) -> None:
 
 
 def _choose_angle(agreement: Agreement, key: str) -> str:
-    names = [s.name for s in agreement.angles if s.pooled.n_samples]
+    names = [s.name for s in _seen(agreement.angles)]
     return st.selectbox(
         "Angle",
         names,
@@ -276,16 +276,14 @@ def show_spread(agreement: Agreement) -> None:
 
 def show_tables(agreement: Agreement) -> None:
     """Show the main figures of every angle, and the rest of the statistics below."""
-    seen = [s for s in agreement.angles if s.pooled.n_samples]
+    seen = _seen(agreement.angles)
     st.html(table_html(labels.MAIN_STATISTICS, [_main_cells(s) for s in seen]))
     with st.expander("All statistics"):
         st.html(table_html(labels.CURVE_STATISTICS, [_curve_cells(s) for s in seen]))
-        if len(agreement.trials) > 1:
-            st.html(table_html(labels.TEST_STATISTICS, [_test_cells(s) for s in seen]))
         st.caption(
             "Tests of the mean, equivalence, ICC and minimal detectable change rest on persons, or "
-            "on several trials of one person: one trial gives none. `liftlens validate` pools "
-            "several. A large p is no proof of agreement."
+            "on several trials of one person: one trial gives none. Several are pooled "
+            "below. A large p is no proof of agreement."
         )
 
 
@@ -378,6 +376,56 @@ def _method_rows(trial: TrialComparison) -> list[tuple[str, str]]:
     if trial.missing:
         rows.append(("Not compared", ", ".join(map(labels.name_angle, trial.missing))))
     return rows
+
+
+def show_pool(trial_id: str, entries: Sequence[TrialEntry]) -> None:
+    """Pool this trial with others that have a reference, by person and by task."""
+    others = {
+        entry.id: _name_entry(entry)
+        for entry in entries
+        if entry.id != trial_id and cache.reference_file(entry.id) is not None
+    }
+    if not others:
+        st.info(
+            "No other trial has a reference yet. One trial says nothing about others: add "
+            "references to further trials, and they can be pooled here.",
+            icon=":material/group_work:",
+        )
+        return
+    chosen = st.multiselect(
+        "Trials to pool with this one", list(others), format_func=others.__getitem__
+    )
+    pooled = _pool((trial_id, *chosen)) if chosen else None
+    if pooled is None:
+        return
+    show_statements(pooled)
+    st.html(table_html(labels.MAIN_STATISTICS, [_main_cells(s) for s in _seen(pooled.angles)]))
+    st.html(table_html(labels.TEST_STATISTICS, [_test_cells(s) for s in _seen(pooled.angles)]))
+    for task, summaries in pooled.tasks.items():
+        with st.expander(f"Task: {task or 'none given'}"):
+            st.html(table_html(labels.MAIN_STATISTICS, [_main_cells(s) for s in _seen(summaries)]))
+    st.download_button(
+        "Pooled comparison (zip)",
+        lambda: cache.zip_agreement(trial_id, *chosen),
+        key="download-pooled",
+        file_name="pooled_agreement.zip",
+        mime="application/zip",
+        icon=":material/folder_zip:",
+        on_click="ignore",
+    )
+
+
+def _pool(trial_ids: tuple[str, ...]) -> Agreement | None:
+    try:
+        with st.spinner("Pooling the trials …"):
+            return cache.pooled_agreement(trial_ids)
+    except EngineError as error:
+        st.error(str(error), icon=":material/error:", title="These trials can't be pooled")
+        return None
+
+
+def _seen(summaries: Sequence[AngleSummary]) -> list[AngleSummary]:
+    return [s for s in summaries if s.pooled.n_samples]
 
 
 def show_downloads(trial_id: str) -> None:

@@ -38,5 +38,8 @@ reference_parts.show_tables(agreement)
 st.subheader("How it was compared", anchor=False)
 reference_parts.show_method(agreement)
 
+st.subheader("Together with other trials", anchor=False)
+reference_parts.show_pool(trial_id, cache.library().entries())
+
 st.subheader("Take it with you", anchor=False)
 reference_parts.show_downloads(trial_id)

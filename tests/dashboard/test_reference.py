@@ -218,3 +218,33 @@ def test_every_chart_has_a_row_for_every_angle(agreement, dark):
 def test_axes_offered_are_right_handed():
     for axes in labels.AXES:
         ImportProfile(axes=axes)
+
+
+def test_alone_the_page_says_that_pooling_needs_more_trials(app, lift):
+    keep(lift)
+    assert "No other trial has a reference yet" in words(open_page(app, lift))
+
+
+def test_several_trials_are_pooled_by_task(app, library, lift):
+    keep(lift)
+    store_lift(library.folder("other"), markers=OTHER_MARKERS)
+    keep("other", OTHER_MARKERS)
+    shown = open_page(app, lift)
+    shown.multiselect[0].select("other").run()
+    assert not shown.exception
+    assert "2 trials" in words(shown)
+    agreement = cache.pooled_agreement((lift, "other"))
+    assert len(agreement.trials) == 2
+    names = zipfile.ZipFile(io.BytesIO(cache.zip_agreement(lift, "other"))).namelist()
+    assert "pooled_agreement/agreement.json" in names
+
+
+def test_a_trial_whose_reference_does_not_fit_stops_the_pool_in_one_sentence(app, library, lift):
+    keep(lift)
+    store_lift(library.folder("other"), markers=OTHER_MARKERS)
+    (library.folder("other") / "reference").mkdir()
+    (library.folder("other") / "reference" / "bad.trc").write_text("nothing")
+    shown = open_page(app, lift)
+    shown.multiselect[0].select("other").run()
+    assert not shown.exception
+    assert "bad.trc" in shown.error[0].value
