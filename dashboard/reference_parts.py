@@ -400,7 +400,8 @@ def show_pool(trial_id: str, entries: Sequence[TrialEntry]) -> None:
         return
     show_statements(pooled)
     st.html(table_html(labels.MAIN_STATISTICS, [_main_cells(s) for s in _seen(pooled.angles)]))
-    st.html(table_html(labels.TEST_STATISTICS, [_test_cells(s) for s in _seen(pooled.angles)]))
+    with st.expander("Tests of the difference"):
+        st.html(table_html(labels.TEST_STATISTICS, [_test_cells(s) for s in _seen(pooled.angles)]))
     for task, summaries in pooled.tasks.items():
         with st.expander(f"Task: {task or 'none given'}"):
             st.html(table_html(labels.MAIN_STATISTICS, [_main_cells(s) for s in _seen(summaries)]))
