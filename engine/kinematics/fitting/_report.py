@@ -18,6 +18,11 @@ from engine.datatypes import Array, JointAngles, PoseTrack, Status
 from engine.kinematics import angles as geometry
 from engine.kinematics.fitting._banded import factorise
 from engine.kinematics.fitting._clip import ROOT, ClipFit
+from engine.kinematics.fitting._common import (
+    UNKNOWN_SIGMA_DEG,
+    find_worst_status,
+    subtract_neutral,
+)
 from engine.kinematics.humanoid.readout import (
     SHOULDER_ROWS,
     VARIABLE_OF,
@@ -42,17 +47,6 @@ MAX_BRIDGED_S = 0.15
 MAX_PRIOR_SHARE = 0.5
 """An angle whose variance is this much of what it was beforehand was not seen."""
 OUT_TO_THE_SIDE_DEG = 85.0
-UNKNOWN_SIGMA_DEG = 360.0 / np.sqrt(12.0)
-INDEPENDENT_AFTER_S = 0.1
-
-WORST_FIRST = (
-    Status.MISSING,
-    Status.REJECTED,
-    Status.FILLED,
-    Status.REPAIRED,
-    Status.SMOOTHED,
-    Status.MEASURED,
-)
 
 
 def _list_required() -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -104,7 +98,7 @@ def read_angles(
     sigma = np.minimum(np.degrees(np.sqrt(variance)).T, UNKNOWN_SIGMA_DEG)
     is_known = support & ~hidden.T & ~_is_out_to_the_side(value)
     value, sigma = np.where(is_known, value, np.nan), np.where(is_known, sigma, np.nan)
-    _subtract_neutral(track.time_s, value, sigma)
+    subtract_neutral(track.time_s, value, sigma, ANGLES)
     is_explained = np.isfinite(value) | (status == Status.REJECTED)
     status = np.where(is_explained, status, Status.MISSING).astype(np.uint8)
     skeleton = get_skeleton(track.skeleton)
@@ -147,7 +141,7 @@ def _find_support(
         bridged[:, i] = support[:, i] & ~present.all(axis=0)
         own = np.asarray(track.status)[:, [skeleton.index(k) for k in needed]]
         own = np.where(near.T & ~present.T, Status.FILLED, own)
-        status[:, i] = _worst_status(own)
+        status[:, i] = find_worst_status(own)
     return support, bridged, status
 
 
@@ -161,14 +155,6 @@ def _is_short_gap(seen: NDArray[np.bool_], time_s: Array) -> NDArray[np.bool_]:
     inside = (before >= 0) & (after < seen.size)
     span = time_s[np.minimum(after, seen.size - 1)] - time_s[np.maximum(before, 0)]
     return np.asarray(~seen & inside & (span <= MAX_BRIDGED_S + 1e-9))
-
-
-def _worst_status(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the worst status along the last axis."""
-    rank = np.empty(len(Status), dtype=np.uint8)
-    rank[list(WORST_FIRST)] = np.arange(len(WORST_FIRST))
-    worst = np.array(WORST_FIRST, dtype=np.uint8)[rank[status].min(axis=-1)]
-    return np.asarray(worst, dtype=np.uint8)
 
 
 def _is_out_to_the_side(value: Array) -> NDArray[np.bool_]:
@@ -336,19 +322,3 @@ def _slope_of_world_angles(angles: Array, step: float = 1e-4) -> Array:
     change = read[:, :6] - read[:, 6:]
     change = (change + np.pi) % (2 * np.pi) - np.pi
     return np.asarray(np.moveaxis(change, 1, 0) / (2 * step))
-
-
-def _subtract_neutral(time_s: Array, value: Array, sigma: Array) -> None:
-    """Make the neck angle relative to upright standing; NaN if nobody stood upright."""
-    i = ANGLES.index("neck_flexion")
-    inclination = value[:, ANGLES.index("trunk_inclination")]
-    upright = geometry.find_upright(inclination) & np.isfinite(value[:, i])
-    neutral = geometry.estimate_neutral_deg(value[:, i], upright)
-    value[:, i] -= neutral
-    if np.isnan(neutral):
-        sigma[:, i] = np.nan
-        return
-    interval_s = float(np.median(np.diff(time_s)))
-    n_independent = max(1.0, float(upright.sum()) * min(1.0, interval_s / INDEPENDENT_AFTER_S))
-    neutral_sigma = 1.2533 * float(np.median(sigma[upright, i])) / np.sqrt(n_independent)
-    sigma[:, i] = np.hypot(sigma[:, i], neutral_sigma)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array, JointAngles, PoseTrack, Status
 from engine.kinematics import angles as geometry
+from engine.kinematics.fitting._common import find_worst_status
 from engine.kinematics.fitting._report import REQUIRED
-from engine.kinematics.fitting.geometric import WORST_FIRST
 from engine.kinematics.humanoid import (
     FITTED_JOINTS,
     VARIABLES,
@@ -163,14 +163,11 @@ def _find_support(track: PoseTrack) -> tuple[NDArray[np.bool_], NDArray[np.uint8
     skeleton = get_skeleton(track.skeleton)
     shape = (track.n_frames, len(ANGLES))
     present, status = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=np.uint8)
-    rank = np.empty(len(Status), dtype=np.uint8)
-    rank[list(WORST_FIRST)] = np.arange(len(WORST_FIRST))
     for i, name in enumerate(ANGLES):
         if all(keypoint in skeleton.keypoints for keypoint in REQUIRED[name]):
             columns = [skeleton.index(keypoint) for keypoint in REQUIRED[name]]
             present[:, i] = track.is_present[:, columns].all(axis=1)
-            worst = rank[np.asarray(track.status)[:, columns]].min(axis=1)
-            status[:, i] = np.array(WORST_FIRST)[worst]
+            status[:, i] = find_worst_status(np.asarray(track.status)[:, columns])
     return present, status
 
 

@@ -11,10 +11,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from engine.datatypes import Array, JointAngles, KinematicFit, PoseTrack, Status, Subject
 from engine.kinematics import angles as geometry
+from engine.kinematics.fitting._common import (
+    UNKNOWN_SIGMA_DEG,
+    find_worst_status,
+    subtract_neutral,
+)
 from engine.kinematics.fitting.base import SolverInfo, require_world_metres
 from engine.skeletons import Skeleton, get_skeleton
 
@@ -23,26 +27,11 @@ __all__ = ["SOLVER", "WITHOUT_PELVIS", "propagate_sigma"]
 Points = Mapping[str, Array]
 AngleFunction = Callable[[Points], Array]
 
-UNKNOWN_SIGMA_DEG = 360.0 / np.sqrt(12.0)
-"""The standard deviation of an angle of which nothing is known; no error can be larger."""
-
-INDEPENDENT_AFTER_S = 0.1
-"""Samples of a track smoothed at some 6 Hz repeat each other's errors within this time."""
-
 FRAMES_AT_ONCE = 2048
 """Keeps the memory for the copies below some 20 MB, however long the clip."""
 
 WITHOUT_PELVIS = ("hip_flexion_l", "hip_flexion_r")
 """Measured against the trunk line here, against the pelvis by solvers with a body model."""
-
-WORST_FIRST = (
-    Status.MISSING,
-    Status.REJECTED,
-    Status.FILLED,
-    Status.REPAIRED,
-    Status.SMOOTHED,
-    Status.MEASURED,
-)
 
 _SHOULDERS = ("left_shoulder", "right_shoulder")
 _HIPS = ("left_hip", "right_hip")
@@ -187,14 +176,6 @@ def _move_each(points: Points, sigma: Points) -> Points:
     return {name: copies.reshape(-1, 3) for name, copies in moved.items()}
 
 
-def _worst_status(status: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the worst status along the last axis."""
-    rank = np.empty(len(Status), dtype=np.uint8)
-    rank[list(WORST_FIRST)] = np.arange(len(WORST_FIRST))
-    worst = np.array(WORST_FIRST, dtype=np.uint8)[rank[status].min(axis=-1)]
-    return np.asarray(worst, dtype=np.uint8)
-
-
 class GeometricSolver:
     """Angles between lines through keypoints."""
 
@@ -240,9 +221,9 @@ class GeometricSolver:
             columns = [self.info.angles.index(name) for name in rule.names]
             value[:, columns], sigma[:, columns] = _apply(rule, track, skeleton)
             indices = [skeleton.index(k) for k in rule.keypoints]
-            worst = _worst_status(np.asarray(track.status)[:, indices])
+            worst = find_worst_status(np.asarray(track.status)[:, indices])
             status[:, columns] = worst[:, None]
-        self._subtract_neutral(track.time_s, value, sigma)
+        subtract_neutral(track.time_s, value, sigma, self.info.angles)
         is_explained = np.isfinite(value) | (status == Status.REJECTED)
         status[~is_explained] = Status.MISSING
         return KinematicFit(
@@ -254,22 +235,6 @@ class GeometricSolver:
                 names=self.info.angles,
             )
         )
-
-    def _subtract_neutral(self, time_s: Array, value: Array, sigma: Array) -> None:
-        """Make the neck angle relative to upright standing; NaN if nobody stood upright."""
-        column = self.info.angles.index("neck_flexion")
-        inclination = value[:, self.info.angles.index("trunk_inclination")]
-        upright = geometry.find_upright(inclination) & np.isfinite(value[:, column])
-        neutral = geometry.estimate_neutral_deg(value[:, column], upright)
-        value[:, column] -= neutral
-        if np.isnan(neutral):
-            sigma[:, column] = np.nan
-            return
-        # The median of n independent samples has 1.25 times the error of their mean.
-        interval_s = float(np.median(np.diff(time_s)))
-        n_independent = max(1.0, float(upright.sum()) * min(1.0, interval_s / INDEPENDENT_AFTER_S))
-        neutral_sigma = 1.2533 * float(np.median(sigma[upright, column])) / np.sqrt(n_independent)
-        sigma[:, column] = np.hypot(sigma[:, column], neutral_sigma)
 
 
 def _apply(rule: _Rule, track: PoseTrack, skeleton: Skeleton) -> tuple[Array, Array]:
