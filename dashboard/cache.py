@@ -222,9 +222,7 @@ def reference(trial_id: str) -> Reference:
     DataError
         If there is none, or it can't be used.
     """
-    path = reference_file(trial_id)
-    if path is None:
-        raise DataError("No reference recording is kept with this trial; add one.")
+    path = _require_reference(trial_id)
     return _read_reference(str(path), _reference_stamp(path))
 
 
@@ -235,6 +233,13 @@ def is_reference_readable(trial_id: str) -> bool:
     except EngineError:
         return False
     return True
+
+
+def _require_reference(trial_id: str) -> Path:
+    path = reference_file(trial_id)
+    if path is None:
+        raise DataError("No reference recording is kept with this trial; add one.")
+    return path
 
 
 def _reference_stamp(path: Path) -> tuple[int, int]:
@@ -273,9 +278,7 @@ def pooled_agreement(trial_ids: tuple[str, ...]) -> Agreement:
 
 def _comparison_stamp(trial_id: str) -> tuple[str, int, int, int]:
     """Return what changes when a trial or its recording does."""
-    path = reference_file(trial_id)
-    if path is None:
-        raise DataError("No reference recording is kept with this trial; add one.")
+    path = _require_reference(trial_id)
     document = library().folder(trial_id) / "trial.json"
     return (str(path), document.stat().st_mtime_ns, *_reference_stamp(path))
 
