@@ -83,10 +83,10 @@ clean:
 
 .venv/.installed: .venv/.made $(DEFINITION)
 	@echo "Installing LiftLens into .venv (a few minutes the first time)."
-	$(PIP) --constraint requirements.lock --editable .
+	$(PIP) --no-compile --constraint requirements.lock --editable .
 	@touch $@
 
 .venv/.installed-dev: .venv/.made $(DEFINITION)
 	@echo "Installing LiftLens and what its tests need into .venv."
-	$(PIP) --constraint requirements.lock --editable ".[dev]"
+	$(PIP) --no-compile --constraint requirements.lock --editable ".[dev]"
 	@touch .venv/.installed $@

@@ -26,6 +26,7 @@ __all__ = [
     "PoseConfig",
     "RiskConfig",
     "SubjectConfig",
+    "TwoViewConfig",
     "VideoConfig",
     "build_config",
     "build_section",
@@ -153,6 +154,41 @@ class CameraConfig:
 
 
 @dataclass(frozen=True)
+class TwoViewConfig:
+    """How two videos of one movement are joined.
+
+    `calibration` is the file of the two cameras; without it they are calibrated from the
+    moving person. `sync` is `auto`, or the seconds to add to the times of the second video to get
+    those of the first. `fusion` is `triangulate` (each joint by itself) or `model` (a body fitted
+    to both pictures).
+    """
+
+    calibration: str = ""
+    sync: str = "auto"
+    fusion: Literal["triangulate", "model"] = "triangulate"
+
+    def __post_init__(self) -> None:
+        if self.sync != "auto":
+            _require_number("sync", self.sync)
+
+    @property
+    def given_offset_s(self) -> float | None:
+        """The offset the user gave, None for auto."""
+        return None if self.sync == "auto" else float(self.sync)
+
+
+def _require_number(name: str, text: str) -> None:
+    try:
+        is_number = math.isfinite(float(text))
+    except ValueError:
+        is_number = False
+    if not is_number:
+        raise ConfigError(
+            f"The setting {name} must be auto or a number of seconds such as 0.35, got {text!r}."
+        )
+
+
+@dataclass(frozen=True)
 class CorrectionConfig:
     """How keypoints are cleaned.
 
@@ -246,6 +282,7 @@ class Config:
     subject: SubjectConfig = field(default_factory=SubjectConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
+    two_view: TwoViewConfig = field(default_factory=TwoViewConfig)
     correction: CorrectionConfig = field(default_factory=CorrectionConfig)
     kinematics: KinematicsConfig = field(default_factory=KinematicsConfig)
     events: EventsConfig = field(default_factory=EventsConfig)

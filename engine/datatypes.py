@@ -24,7 +24,10 @@ from engine.errors import ConfigError, DataError, ShapeError, UnitError
 __all__ = [
     "Array",
     "BodyFit",
+    "Calibration",
+    "CalibrationCheck",
     "Camera",
+    "CheckLevel",
     "Coupling",
     "Flag",
     "FlagLevel",
@@ -44,6 +47,7 @@ __all__ = [
     "Status",
     "Subject",
     "SubjectState",
+    "SyncEstimate",
     "Task",
     "TrackedFrame",
     "Trial",
@@ -110,6 +114,14 @@ class SubjectState(StrEnum):
     TRACKED = "tracked"
     HELD = "held"
     LOST = "lost"
+
+
+class CheckLevel(StrEnum):
+    """Whether something may be trusted: as it is, with care, or not at all."""
+
+    GREEN = "green"
+    AMBER = "amber"
+    RED = "red"
 
 
 class FlagLevel(StrEnum):
@@ -316,6 +328,82 @@ class Camera(_FrozenArrays):
         _require_shape("Distortion", self._freeze("distortion", self.distortion), (5,))
         if np.linalg.norm(self.rotation @ self.rotation.T - np.eye(3)) > 1e-3:
             raise DataError(f"The rotation of camera {self.name!r} is not a rotation matrix.")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(_FrozenArrays):
+    """Cameras in one world in metres, with what is not known of them.
+
+    Parameters
+    ----------
+    cameras
+        In the order of the views.
+    source
+        Where they come from: `board`, `points`, `person`, or `file`.
+    up
+        Shape (3,), the unit vector against gravity in the world of the cameras; NaN where the
+        source does not tell.
+    floor_m
+        Height of the floor along `up` from the world's origin; NaN where unknown.
+    scale_sigma
+        Relative standard error of all lengths.
+    rotation_sigma_deg, translation_sigma_m
+        Standard errors of the cameras relative to each other, root mean square over the axes.
+    tilt_sigma_deg, floor_sigma_m
+        Standard errors of `up` and of the floor.
+    provenance
+        How it was found, in words or plain values (reprojection error in px, samples, file).
+    """
+
+    cameras: tuple[Camera, ...]
+    source: str
+    up: Array = field(default_factory=lambda: np.full(3, np.nan))
+    floor_m: float = math.nan
+    scale_sigma: float = math.nan
+    rotation_sigma_deg: float = math.nan
+    translation_sigma_m: float = math.nan
+    tilt_sigma_deg: float = math.nan
+    floor_sigma_m: float = math.nan
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _require_shape("up", self._freeze("up", self.up), (3,))
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+        object.__setattr__(self, "provenance", _proxy(self.provenance))
+
+
+@dataclass(frozen=True)
+class CalibrationCheck:
+    """One comparison of a calibration with the world.
+
+    `key` names it (for example `floor`), `sentence` says what was found in plain words with
+    numbers and units, `action` what to do about it. `value` is in `unit`.
+    """
+
+    key: str
+    level: CheckLevel
+    sentence: str
+    action: str = ""
+    value: float = math.nan
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class SyncEstimate:
+    """How the clocks of two videos belong together.
+
+    A moment at `t` seconds in the second video is at ``t * (1 + drift) + offset_s`` in the first.
+    `method` is `motion`, `audio`, `both` or `user`; `confidence` runs from 0 to 1. `level` is red
+    where the estimate must not be used, and `sentence` says why and what to do.
+    """
+
+    offset_s: float
+    sigma_s: float = math.nan
+    drift: float = 0.0
+    confidence: float = math.nan
+    method: str = "user"
+    level: CheckLevel = CheckLevel.GREEN
+    sentence: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -726,8 +814,10 @@ class TrialResult:
     """Everything that was found out about one trial.
 
     `raw` and `corrected` hold the world track before and after correction; `views` what
-    the estimator saw. `risk` maps a method's key to its result. `body` is the fitted body model,
-    None where the solver uses none.
+    the estimator saw, in each video's own time. `risk` maps a method's key to its result. `body` is
+    the fitted body model, None where the solver uses none. With two views, `calibration` are
+    the cameras in the trial's world, `checks` what the world says of them, and `sync` the time
+    between the videos.
     """
 
     trial: Trial
@@ -747,3 +837,6 @@ class TrialResult:
     timings_s: Mapping[str, float]
     coverage: Mapping[str, float]
     body: BodyFit | None = None
+    calibration: Calibration | None = None
+    checks: tuple[CalibrationCheck, ...] = ()
+    sync: SyncEstimate | None = None

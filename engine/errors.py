@@ -11,6 +11,8 @@
     │   ├── ShapeError
     │   └── UnitError
     ├── ConfigError (ValueError)  a setting, option or task value is wrong
+    ├── CalibrationError        cameras can't be calibrated, or their calibration is wrong
+    ├── SyncError               it can't be told how the clocks of two videos belong together
     ├── OutputError             a result can't be written
     ├── AssessmentError         the steps ran, but no assessment is possible
     └── Cancelled               the user stopped the work
@@ -62,6 +64,14 @@ class ConfigError(EngineError, ValueError):
     """A setting, an option or a task value is wrong."""
 
     exit_code = 2
+
+
+class CalibrationError(EngineError):
+    """Cameras can't be calibrated, or a calibration does not fit the videos."""
+
+
+class SyncError(EngineError):
+    """It can't be told how the clocks of two videos belong together."""
 
 
 class OutputError(EngineError):

@@ -17,6 +17,7 @@ SHARED = {
     "engine.config",
     "engine.datatypes",
     "engine.errors",
+    "engine.optics",
     "engine.skeletons",
     "engine.timing",
 }
