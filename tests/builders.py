@@ -18,7 +18,10 @@ from engine.config import Config
 from engine.datatypes import (
     Array,
     BodyFit,
+    Calibration,
+    CalibrationCheck,
     Camera,
+    CheckLevel,
     Flag,
     FlagLevel,
     JointAngles,
@@ -33,6 +36,7 @@ from engine.datatypes import (
     Status,
     Subject,
     SubjectState,
+    SyncEstimate,
     Task,
     Trial,
     TrialResult,
@@ -338,6 +342,36 @@ def make_trial(**changes: Any) -> Trial:
         "job": "Packing",
     }
     return Trial(**{**values, **changes})
+
+
+def make_calibration(**changes: Any) -> Calibration:
+    """Make two cameras three metres from the person, to the right and to the front right."""
+    values: dict[str, Any] = {
+        "cameras": (make_camera(), dataclasses.replace(make_camera(), name="front")),
+        "source": "person",
+        "up": (0.0, 1.0, 0.0),
+        "floor_m": 0.0,
+        "scale_sigma": 0.012,
+        "rotation_sigma_deg": 0.8,
+        "tilt_sigma_deg": 0.5,
+        "floor_sigma_m": 0.01,
+        "provenance": {"reprojection_px": 3.2},
+    }
+    return Calibration(**{**values, **changes})
+
+
+def make_two_views(**changes: Any) -> dict[str, Any]:
+    """Make what a result of two views has that one of a single view has not."""
+    return {
+        "views": (make_view_pose(), make_view_pose(file_name="b.mp4", with_body=False)),
+        "calibration": make_calibration(),
+        "checks": (
+            CalibrationCheck("floor", CheckLevel.GREEN, "The feet stand on the floor.", "", 4.0),
+            CalibrationCheck("angle", CheckLevel.AMBER, "The cameras look alike.", "Move one."),
+        ),
+        "sync": SyncEstimate(0.35, 0.004, confidence=0.9, method="motion", sentence="Sure."),
+        **changes,
+    }
 
 
 def make_trial_result(

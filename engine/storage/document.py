@@ -23,7 +23,10 @@ import numpy as np
 
 from engine.datatypes import (
     BodyFit,
+    Calibration,
+    CalibrationCheck,
     Camera,
+    CheckLevel,
     Coupling,
     Flag,
     FlagLevel,
@@ -34,6 +37,7 @@ from engine.datatypes import (
     RiskInput,
     RiskResult,
     Subject,
+    SyncEstimate,
     Task,
     TrialResult,
     ViewInfo,
@@ -44,6 +48,8 @@ __all__ = [
     "SCHEMA_PATH",
     "SCHEMA_VERSION",
     "build_document",
+    "decode_calibration",
+    "decode_check",
     "decode_flag",
     "decode_lift",
     "decode_number",
@@ -51,6 +57,7 @@ __all__ = [
     "decode_risk",
     "decode_scene",
     "decode_subject",
+    "decode_sync",
     "decode_task",
     "decode_view",
     "encode_number",
@@ -163,6 +170,7 @@ def build_document(result: TrialResult) -> dict[str, Any]:
         "timings_s": _encode_numbers(result.timings_s),
         "coverage": _encode_numbers(result.coverage),
         "scene": _encode_scene(result.scene),
+        "two_view": _encode_two_view(result),
         "body": None if result.body is None else _encode_body(result.body),
         "lifts": [_encode_lift(lift) for lift in result.lifts],
         "risk": {name: _encode_risk(risk) for name, risk in result.risk.items()},
@@ -255,17 +263,32 @@ SCENE_NUMBERS = (
 )
 
 
-def _encode_scene(scene: WorldScene) -> dict[str, Any]:
-    camera = scene.camera
+def _encode_camera(camera: Camera) -> dict[str, Any]:
     return {
-        "camera": {
-            "name": camera.name,
-            "size_px": [int(n) for n in camera.size_px],
-            "matrix": encode_plain(camera.matrix),
-            "distortion": encode_plain(camera.distortion),
-            "rotation": encode_plain(camera.rotation),
-            "translation_m": encode_plain(camera.translation),
-        },
+        "name": camera.name,
+        "size_px": [int(n) for n in camera.size_px],
+        "matrix": encode_plain(camera.matrix),
+        "distortion": encode_plain(camera.distortion),
+        "rotation": encode_plain(camera.rotation),
+        "translation_m": encode_plain(camera.translation),
+    }
+
+
+def _decode_camera(values: Mapping[str, Any]) -> Camera:
+    width, height = values["size_px"]
+    return Camera(
+        name=values["name"],
+        size_px=(int(width), int(height)),
+        matrix=values["matrix"],
+        distortion=values["distortion"],
+        rotation=values["rotation"],
+        translation=values["translation_m"],
+    )
+
+
+def _encode_scene(scene: WorldScene) -> dict[str, Any]:
+    return {
+        "camera": _encode_camera(scene.camera),
         **{key: encode_number(getattr(scene, key)) for key in SCENE_NUMBERS},
         "provenance": encode_plain(scene.provenance),
     }
@@ -273,20 +296,87 @@ def _encode_scene(scene: WorldScene) -> dict[str, Any]:
 
 def decode_scene(values: Mapping[str, Any]) -> WorldScene:
     """Return the camera in the world with its errors."""
-    camera = values["camera"]
-    width, height = camera["size_px"]
     return WorldScene(
-        camera=Camera(
-            name=camera["name"],
-            size_px=(int(width), int(height)),
-            matrix=camera["matrix"],
-            distortion=camera["distortion"],
-            rotation=camera["rotation"],
-            translation=camera["translation_m"],
-        ),
+        camera=_decode_camera(values["camera"]),
         provenance=decode_plain(values["provenance"]),
         **{key: decode_number(values[key]) for key in SCENE_NUMBERS},
     )
+
+
+CALIBRATION_NUMBERS = (
+    "floor_m",
+    "scale_sigma",
+    "rotation_sigma_deg",
+    "translation_sigma_m",
+    "tilt_sigma_deg",
+    "floor_sigma_m",
+)
+
+
+def _encode_calibration(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "cameras": [_encode_camera(camera) for camera in calibration.cameras],
+        "source": calibration.source,
+        "up": [encode_number(value) for value in calibration.up],
+        **{key: encode_number(getattr(calibration, key)) for key in CALIBRATION_NUMBERS},
+        "provenance": encode_plain(calibration.provenance),
+    }
+
+
+def decode_calibration(values: Mapping[str, Any]) -> Calibration:
+    """Return the cameras of a trial filmed from two sides."""
+    return Calibration(
+        cameras=tuple(_decode_camera(camera) for camera in values["cameras"]),
+        source=values["source"],
+        up=np.array([decode_number(value) for value in values["up"]]),
+        provenance=decode_plain(values["provenance"]),
+        **{key: decode_number(values[key]) for key in CALIBRATION_NUMBERS},
+    )
+
+
+def _encode_check(check: CalibrationCheck) -> dict[str, Any]:
+    return {
+        "key": check.key,
+        "level": check.level.value,
+        "sentence": check.sentence,
+        "action": check.action,
+        "value": encode_number(check.value),
+        "unit": check.unit,
+    }
+
+
+def decode_check(values: Mapping[str, Any]) -> CalibrationCheck:
+    """Return one comparison of a calibration with the world."""
+    numbers = {"value": decode_number(values["value"]), "level": CheckLevel(values["level"])}
+    return CalibrationCheck(**{**values, **numbers})
+
+
+SYNC_NUMBERS = ("offset_s", "sigma_s", "drift", "confidence")
+
+
+def _encode_sync(sync: SyncEstimate) -> dict[str, Any]:
+    return {
+        **{key: encode_number(getattr(sync, key)) for key in SYNC_NUMBERS},
+        "method": sync.method,
+        "level": sync.level.value,
+        "sentence": sync.sentence,
+    }
+
+
+def decode_sync(values: Mapping[str, Any]) -> SyncEstimate:
+    """Return how the clocks of two videos belong together."""
+    numbers = {key: decode_number(values[key]) for key in SYNC_NUMBERS}
+    return SyncEstimate(**{**values, **numbers, "level": CheckLevel(values["level"])})
+
+
+def _encode_two_view(result: TrialResult) -> dict[str, Any] | None:
+    if result.calibration is None or result.sync is None:
+        return None
+    return {
+        "calibration": _encode_calibration(result.calibration),
+        "checks": [_encode_check(check) for check in result.checks],
+        "sync": _encode_sync(result.sync),
+    }
 
 
 def _encode_body(body: BodyFit) -> dict[str, Any]:

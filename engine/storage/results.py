@@ -1,7 +1,8 @@
 """Result folders: written whole or not at all, read with every check.
 
 A result folder holds `trial.json` (`trial.schema.json` describes it), `tracks.npz`,
-`keypoints.trc`, `angles.mot`, `angles.csv` and, where made, `overlay.mp4` and `thumbnail.jpg`.
+`keypoints.trc`, `angles.mot`, `angles.csv` and, where made, `overlay.mp4` and `thumbnail.jpg`; with
+two views also `overlay2.mp4` and `calibration.toml`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import logging
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,12 +21,15 @@ from typing import Any
 
 from engine.datatypes import (
     BodyFit,
+    Calibration,
+    CalibrationCheck,
     Flag,
     JointAngles,
     Lift,
     PoseTrack,
     RiskResult,
     Subject,
+    SyncEstimate,
     Task,
     TrialResult,
     ViewPose,
@@ -36,11 +40,14 @@ from engine.storage.atomic import PARTIAL_SUFFIX, explain_os_errors, hidden_sibl
 from engine.storage.document import (
     SCHEMA_VERSION,
     build_document,
+    decode_calibration,
+    decode_check,
     decode_flag,
     decode_lift,
     decode_risk,
     decode_scene,
     decode_subject,
+    decode_sync,
     decode_task,
     decode_view,
     to_json,
@@ -63,6 +70,8 @@ logger = logging.getLogger(__name__)
 DOCUMENT_NAME = "trial.json"
 TRACKS_NAME = "tracks.npz"
 OVERLAY_NAME = "overlay.mp4"
+SECOND_OVERLAY_NAME = "overlay2.mp4"
+CALIBRATION_NAME = "calibration.toml"
 THUMBNAIL_NAMES = ("thumbnail.jpg", "thumbnail.jpeg", "thumbnail.png")
 SUMMARY_NAME = "summary.json"
 
@@ -73,6 +82,8 @@ RESULT_FILES = (
     "angles.mot",
     "angles.csv",
     OVERLAY_NAME,
+    SECOND_OVERLAY_NAME,
+    CALIBRATION_NAME,
     *THUMBNAIL_NAMES,
     SUMMARY_NAME,
 )
@@ -81,6 +92,18 @@ RESULT_FILES = (
 DECODING_ERRORS = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
 """What values of another kind than expected raise on their way into the engine's types."""
 
+DECODED_PARTS = (
+    "lifts",
+    "risk",
+    "flags",
+    "subject",
+    "task",
+    "scene",
+    "calibration",
+    "checks",
+    "sync",
+    "warnings",
+)
 REQUIRED_KEYS = ("schema_version", "views", "subject", "task", "lifts", "risk", "flags", "scene")
 
 
@@ -100,6 +123,7 @@ class StoredResult:
     overlay_path: Path | None
     thumbnail_path: Path | None
     body: BodyFit | None = None
+    second_overlay_path: Path | None = None
 
     @cached_property
     def lifts(self) -> tuple[Lift, ...]:
@@ -131,6 +155,28 @@ class StoredResult:
         """The camera in the world, with what is not known about it."""
         return decode_scene(self.document["scene"])
 
+    @cached_property
+    def calibration(self) -> Calibration | None:
+        """The two cameras in the world of the trial; None with one view."""
+        values = self._two_view
+        return None if values is None else decode_calibration(values["calibration"])
+
+    @cached_property
+    def checks(self) -> tuple[CalibrationCheck, ...]:
+        """What the world says of the calibration; empty with one view."""
+        return tuple(decode_check(v) for v in (self._two_view or {}).get("checks", ()))
+
+    @cached_property
+    def sync(self) -> SyncEstimate | None:
+        """How the clocks of the two videos belong together; None with one view."""
+        return None if self._two_view is None else decode_sync(self._two_view["sync"])
+
+    @property
+    def _two_view(self) -> Mapping[str, Any] | None:
+        # Results written before two views were possible have no such key.
+        values: Mapping[str, Any] | None = self.document.get("two_view")
+        return values
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the steps had to say."""
@@ -143,6 +189,8 @@ def write_result(
     *,
     overlay: Path | None = None,
     thumbnail: Path | None = None,
+    second_overlay: Path | None = None,
+    calibration_text: str = "",
 ) -> Path:
     """Write a result folder: aside first, then renamed, so that it is whole or not there.
 
@@ -155,6 +203,10 @@ def write_result(
         complete.
     overlay, thumbnail
         The annotated video and its still picture; both are moved into the folder.
+    second_overlay
+        The annotated second video; moved into the folder.
+    calibration_text
+        The cameras as a file that later assessments can use; none where empty.
 
     Returns
     -------
@@ -187,8 +239,11 @@ def write_result(
         )
         if thumbnail is not None:
             shutil.move(thumbnail, partial / f"thumbnail{thumbnail.suffix.lower()}")
-        if overlay is not None:
-            shutil.move(overlay, partial / OVERLAY_NAME)
+        if calibration_text:
+            (partial / CALIBRATION_NAME).write_text(calibration_text, encoding="utf-8")
+        for video, name in ((overlay, OVERLAY_NAME), (second_overlay, SECOND_OVERLAY_NAME)):
+            if video is not None:
+                shutil.move(video, partial / name)
         _replace(folder, partial)
     return folder
 
@@ -262,6 +317,7 @@ def read_result(folder: Path) -> StoredResult:
         views=tracks.views,
         angles=tracks.angles,
         overlay_path=_first_file(folder, (OVERLAY_NAME,)),
+        second_overlay_path=_first_file(folder, (SECOND_OVERLAY_NAME,)),
         thumbnail_path=_first_file(folder, THUMBNAIL_NAMES),
         body=tracks.body,
     )
@@ -303,7 +359,7 @@ def read_document(folder: Path) -> dict[str, Any]:
 def _check_parts(stored: StoredResult) -> None:
     """Decode every typed part once, so that later readers can trust them."""
     try:
-        for part in ("lifts", "risk", "flags", "subject", "task", "scene", "warnings"):
+        for part in DECODED_PARTS:
             getattr(stored, part)
     except DECODING_ERRORS as error:
         raise _damaged(stored.folder, f"its {part} are not as expected: {error!r}") from error

@@ -21,6 +21,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from engine.datatypes import (
+    Calibration,
+    CalibrationCheck,
     Flag,
     Lift,
     LiftEnd,
@@ -29,6 +31,7 @@ from engine.datatypes import (
     RiskResult,
     Status,
     Subject,
+    SyncEstimate,
     Task,
     ViewInfo,
     WorldScene,
@@ -48,6 +51,7 @@ from engine.storage.tables import write_keypoints_trc
 from tests.builders import (
     make_angles,
     make_body_fit,
+    make_calibration,
     make_flag,
     make_lift,
     make_pose_track,
@@ -55,6 +59,7 @@ from tests.builders import (
     make_scene,
     make_trial,
     make_trial_result,
+    make_two_views,
     make_view_pose,
 )
 
@@ -67,7 +72,10 @@ RESULTS = {
     "not applicable": {"lis": (math.nan,)},
     "one frame": {"n_frames": 1},
     "assumed stature": {"trial": make_trial(subject=Subject(), task=Task())},
-    "two views": {"views": (make_view_pose(), make_view_pose(file_name="b.mp4", with_body=False))},
+    "two views": make_two_views(),
+    "two views of unknown floor": make_two_views(
+        calibration=make_calibration(up=(math.nan,) * 3, floor_m=math.nan), checks=()
+    ),
     "no uncertainty": {"scene": make_scene(scale_sigma=math.nan), "warnings": ()},
     "no angles": {"angles": make_angles(names=())},
     "body model": {"body": make_body_fit(missing=[0, 3])},
@@ -120,6 +128,9 @@ class TestSchema:
             ("risk", RiskResult, {"is_infinite", "interval_is_infinite"}),
             ("input", RiskInput, {"is_infinite"}),
             ("flag", Flag, set()),
+            ("calibration", Calibration, set()),
+            ("check", CalibrationCheck, set()),
+            ("sync", SyncEstimate, set()),
             ("subject", Subject, {"provenance", "stature_sigma_m"}),
             ("task", Task, {"provenance"}),
         ],
@@ -297,6 +308,36 @@ class TestRoundTrip:
         np.testing.assert_array_equal(stored.scene.camera.matrix, result.scene.camera.matrix)
         for name in SCENE_NUMBERS:
             assert repr(getattr(stored.scene, name)) == repr(getattr(result.scene, name))
+        assert repr(stored.checks) == repr(result.checks)
+        assert stored.sync == result.sync
+        assert repr(stored.calibration) == repr(result.calibration)
+
+    def test_both_annotated_videos_and_the_cameras_come_along(self, tmp_path: Path) -> None:
+        for name in ("first.mp4", "second.mp4"):
+            (tmp_path / name).write_bytes(name.encode())
+        folder = write_result(
+            make_trial_result(**make_two_views()),
+            tmp_path / "result",
+            overlay=tmp_path / "first.mp4",
+            second_overlay=tmp_path / "second.mp4",
+            calibration_text="up = [0, 1, 0]\n",
+        )
+        stored = read_result(folder)
+        assert stored.overlay_path
+        assert stored.overlay_path.read_bytes() == b"first.mp4"
+        assert stored.second_overlay_path
+        assert stored.second_overlay_path.read_bytes() == b"second.mp4"
+        assert (folder / "calibration.toml").read_text() == "up = [0, 1, 0]\n"
+
+    def test_a_result_from_before_two_views_were_possible_is_still_read(
+        self, tmp_path: Path
+    ) -> None:
+        folder = write_result(make_trial_result(), tmp_path / "result")
+        document = read_json(folder)
+        del document["two_view"]
+        (folder / "trial.json").write_text(json.dumps(document))
+        stored = read_result(folder)
+        assert (stored.calibration, stored.checks, stored.sync) == (None, (), None)
 
     @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
     @given(data=st.data(), n_frames=st.integers(1, 4))
