@@ -146,9 +146,15 @@ def _root(
 @_one_sentence
 def assess(
     video: Annotated[Path, typer.Argument(help="The video.")],
-    video2: Annotated[Path | None, typer.Argument(help="Not available yet.")] = None,
+    video2: Annotated[
+        Path | None, typer.Argument(help="The same movement, filmed from another side.")
+    ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Calibration of two cameras: not available yet.")
+        Path | None,
+        typer.Option(
+            help="File of the two cameras, from `liftlens calibrate` or another tool; without it "
+            "they are calibrated from the moving person."
+        ),
     ] = None,
     backend: Annotated[str | None, typer.Option(help="Estimator; see `liftlens backends`.")] = None,
     solver: Annotated[
@@ -193,13 +199,17 @@ def assess(
         str | None, typer.Option(help="How keypoints are cleaned: default, paper or none.")
     ] = None,
     fusion: Annotated[
-        str | None, typer.Option(help="How two views are joined: not available yet.")
+        str | None, typer.Option(help="How two views are joined: triangulate or model.")
     ] = None,
     sync: Annotated[
-        str | None, typer.Option(help="Time between two views: not available yet.")
+        str | None,
+        typer.Option(
+            help="auto, or the seconds to add to the times of the second video to get those of "
+            "the first."
+        ),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="Trained model file: not available yet.")
+        Path | None, typer.Option(help="File that the estimator reads, where it needs one.")
     ] = None,
     methods: Annotated[
         str | None, typer.Option(help="Risk methods, as A,B; see `liftlens methods`.")
@@ -219,13 +229,14 @@ def assess(
     quiet: Quiet = None,
     debug: Debug = False,
 ) -> None:
-    """Assess one video and write a result folder.
+    """Assess a lift, filmed from one side or from two, and write a result folder.
 
     A configuration file has these tables: [person] stature_m, mass_kg, sex, age_y, label;
     [task] load_kg, hands, coupling, frequency_per_min, duration_h, recovery_h,
     destination_control, notes; [trial] label, site, job; [run] out, quiet; and one table per
-    step: [video] start_s, stop_s; [subject] box; [pose] backend, variant, threads;
-    [correction] preset; [kinematics] solver; [risk] methods; [output] overlay, blur_heads.
+    step: [video] start_s, stop_s; [subject] box; [pose] backend, variant, threads, model;
+    [two_view] calibration, sync, fusion; [correction] preset; [kinematics] solver;
+    [risk] methods; [output] overlay, blur_heads.
     """
     from engine.cli_settings import OPTION_KEYS, build_settings
 

@@ -26,10 +26,10 @@ OPTION_KEYS: Mapping[str, tuple[str, str]] = {
     "recovery": ("task", "recovery_h"),
     "destination_control": ("task", "destination_control"),
     "label": ("trial", "label"),
-    "calibration": ("trial", "calibration"),
-    "fusion": ("trial", "fusion"),
-    "sync": ("trial", "sync"),
-    "model": ("trial", "model"),
+    "calibration": ("two_view", "calibration"),
+    "fusion": ("two_view", "fusion"),
+    "sync": ("two_view", "sync"),
+    "model": ("pose", "model"),
     "backend": ("pose", "backend"),
     "solver": ("kinematics", "solver"),
     "correction": ("correction", "preset"),
@@ -44,30 +44,17 @@ OPTION_KEYS: Mapping[str, tuple[str, str]] = {
 }
 """Where each option of `assess` stands in a configuration file: table and key."""
 
-NOT_YET = {
-    "calibration": "two cameras are not available yet, so a calibration has no effect",
-    "fusion": "two cameras are not available yet, so there is nothing to fuse",
-    "sync": "two cameras are not available yet, so there is nothing to synchronise",
-    "model": "no estimator of this version takes a model file",
-}
+TWO_VIEW_OPTIONS = ("calibration", "fusion", "sync")
+"""Options that say nothing of a single video."""
 
 
 @dataclass(frozen=True)
 class _TrialTable:
-    """The table [trial]; what isn't available yet is known, so that it can be refused clearly."""
+    """The table [trial]: what the trial is called and where it belongs."""
 
     label: str = ""
     site: str = ""
     job: str = ""
-    calibration: str = ""
-    fusion: str = ""
-    sync: str = ""
-    model: str = ""
-
-    def __post_init__(self) -> None:
-        for name, why in NOT_YET.items():
-            if getattr(self, name):
-                raise ConfigError(f"'{name}' can't be used: {why}; leave it out.")
 
 
 @dataclass(frozen=True)
@@ -108,7 +95,7 @@ def build_settings(
     Parameters
     ----------
     video, second_video
-        The videos; a second one is refused for now.
+        The video, and a second one of the same movement from another side.
     config_path
         A TOML file.
     options
@@ -117,13 +104,19 @@ def build_settings(
     Raises
     ------
     ConfigError
-        If anything is unknown, of the wrong type, out of range or not available yet.
+        If anything is unknown, of the wrong type or out of range.
     """
-    _check_videos(video, second_video)
+    videos = (video,) if second_video is None else (video, second_video)
+    _check_videos(videos)
     tables = {} if config_path is None else read_config(config_path)
     _check_tables(tables)
     for name, value in (options or {}).items():
         if value is not None:
+            if name in TWO_VIEW_OPTIONS and second_video is None:
+                raise ConfigError(
+                    f"--{name} is for two videos of one movement, but only {video.name} is given; "
+                    "name the second video after it, or leave the option out."
+                )
             table, key = OPTION_KEYS[name]
             tables[table] = {**tables.get(table, {}), key: _as_setting(name, value)}
     own = {name: build_section(name, kind, _own_table(tables, name)) for name, kind in _own()}
@@ -131,7 +124,7 @@ def build_settings(
     about, run = own["trial"], own["run"]
     return AssessSettings(
         trial=Trial(
-            views=(View(video),),
+            views=tuple(View(path) for path in videos),
             subject=own["person"],
             task=own["task"],
             label=about.label or video.stem,
@@ -148,15 +141,16 @@ def _own() -> list[tuple[str, type[Any]]]:
     return list(OWN_TABLES.items())
 
 
-def _check_videos(video: Path, second_video: Path | None) -> None:
-    if second_video is not None:
+def _check_videos(videos: tuple[Path, ...]) -> None:
+    for video in videos:
+        if not video.is_file():
+            what = "is a folder" if video.is_dir() else "does not exist"
+            raise ConfigError(f"Expected a video file, but {video} {what}; check the path.")
+    if len(videos) == 2 and videos[0].samefile(videos[1]):
         raise ConfigError(
-            f"Expected one video, got two ({video.name}, {second_video.name}): two cameras are not "
-            "available yet; give the view from the side only."
+            f"Expected two videos from different sides, but both are {videos[0].name}; name the "
+            "other camera's video, or give one video only."
         )
-    if not video.is_file():
-        what = "is a folder" if video.is_dir() else "does not exist"
-        raise ConfigError(f"Expected a video file, but {video} {what}; check the path.")
 
 
 def _check_tables(tables: Mapping[str, Any]) -> None:

@@ -24,7 +24,8 @@ __all__ = ["BackendInfo", "PoseBackend", "create_backend", "list_backends"]
 class BackendInfo:
     """What a user should know of an estimator.
 
-    `requires` are the modules it imports when used; `extra` the optional extra that installs them.
+    `requires` are the modules it imports when used; `extra` the optional extra that installs
+    them. `takes_model` says whether it reads the file that `PoseConfig.model` names.
     """
 
     name: str
@@ -35,6 +36,7 @@ class BackendInfo:
     requires: tuple[str, ...] = ()
     extra: str = ""
     needs_video: bool = True
+    takes_model: bool = False
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -74,7 +76,7 @@ def create_backend(config: PoseConfig) -> PoseBackend:
     Raises
     ------
     ConfigError
-        If there is no estimator of that name.
+        If there is no estimator of that name, or a model file is given that it can't use.
     BackendUnavailable
         If something it needs is not installed.
     """
@@ -89,6 +91,12 @@ def create_backend(config: PoseConfig) -> PoseBackend:
         raise BackendUnavailable(
             f"The estimator {info.name!r} needs {', '.join(info.missing)}, which is not installed; "
             f"run: {info.install_hint}."
+        )
+    if config.model and not info.takes_model:
+        able = [other.name for other in known.values() if other.takes_model]
+        raise ConfigError(
+            f"The estimator {info.name!r} takes no model file, got {config.model!r}; leave --model "
+            f"out, or choose one that does with --backend: {', '.join(able)}."
         )
     module = importlib.import_module(f"{backends_package.__name__}.{info.name.replace('-', '_')}")
     backend: PoseBackend = module.Backend(config)

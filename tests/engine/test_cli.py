@@ -31,7 +31,7 @@ from engine.cli_output import (
     stop_on_signal,
     summarise,
 )
-from engine.cli_settings import NOT_YET, OPTION_KEYS, build_settings
+from engine.cli_settings import OPTION_KEYS, build_settings
 from engine.config import Config
 from engine.datatypes import Coupling, Trial
 from engine.errors import (
@@ -230,11 +230,11 @@ class TestWrongUse:
             ("--box a,b,c,d", "--box needs four numbers"),
             ("--start=-1", "start_s must be at least 0"),
             ("--start 5 --stop 4", "must stop after it starts (5 s), got stop_s = 4"),
-            ("--calibration c.toml", "two cameras are not available yet"),
-            ("--fusion triangulate", "two cameras are not available yet"),
-            ("--sync auto", "two cameras are not available yet"),
-            ("--model m.bin", "no estimator of this version takes a model file"),
-            ("second.mp4", "two cameras are not available yet"),
+            ("--calibration c.toml", "--calibration is for two videos of one movement"),
+            ("--fusion triangulate", "--fusion is for two videos of one movement"),
+            ("--sync auto", "--sync is for two videos of one movement"),
+            ("second.mp4", "second.mp4 does not exist"),
+            ("crate.mp4", "both are crate.mp4"),
             ("--config none.toml", "can't be read"),
             ("--out crate.mp4", "is a file"),
             ("--out crate.mp4/x", "a part of its path is a file"),
@@ -261,7 +261,9 @@ class TestWrongUse:
             ('[person]\nstature_m = "1.75"', "person.stature_m must be a number, got '1.75'"),
             ("[task]\ncoupling = 3", "Coupling must be good, fair or poor"),
             ("[task]\nhands = true", "task.hands must be one of 1, 2"),
-            ("[trial]\nsync = 'auto'", "two cameras are not available yet"),
+            ("[trial]\nsync = 'auto'", "Unknown key 'sync' in [trial]"),
+            ("[two_view]\nsync = 'soon'", "must be auto or a number of seconds"),
+            ("[two_view]\nfusion = 'best'", "must be one of triangulate, model"),
             ("[pose]\nthreads = 1.5", "pose.threads must be a whole number"),
             ("[correction]\ncutoff_hz = nan", "cutoff_hz must lie between"),
             ("[run]\nquiet = 1", "run.quiet must be true or false"),
@@ -302,8 +304,17 @@ class TestWrongUse:
         for arguments in ((), ("assess",), ("nonsense",), ("export", ".")):
             assert run(*arguments).exit_code == 2
 
-    def test_every_refused_option_can_be_given(self) -> None:
-        assert set(NOT_YET) <= set(OPTION_KEYS)
+    def test_two_views_and_what_belongs_to_them_reach_the_pipeline(
+        self, video: Path, calls: Calls
+    ) -> None:
+        Path("front.mp4").write_bytes(b"another")
+        options = ["--calibration", "cameras.toml", "--sync", "0.35", "--fusion", "model"]
+        run("assess", video, "front.mp4", *options)
+        trial, config, _ = calls[0][:3]
+        assert [view.path.name for view in trial.views] == ["crate.mp4", "front.mp4"]
+        assert config.two_view.calibration == "cameras.toml"
+        assert config.two_view.given_offset_s == 0.35
+        assert config.two_view.fusion == "model"
 
 
 class TestFailures:
@@ -400,7 +411,7 @@ class TestProcess:
         [
             (("assess", "missing.mp4"), 2, "does not exist"),
             (("assess", __file__, "--stature", "17.5"), 2, "did you mean 1.75"),
-            (("assess", __file__, __file__), 2, "two cameras are not available yet"),
+            (("assess", __file__, __file__), 2, "both are test_cli.py"),
             (("assess", __file__, "--nonsense"), 2, "--nonsense"),
             (("assess",), 2, "VIDEO"),
             (("export", ".", "--format", "csv"), 3, "no LiftLens result"),

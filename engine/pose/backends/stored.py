@@ -38,6 +38,7 @@ BACKEND_INFO = BackendInfo(
         "body (T, K, 3) in m, confidence (T, K) and skeleton."
     ),
     needs_video=False,
+    takes_model=True,
 )
 
 Arrays = Mapping[str, NDArray[Any]]

@@ -49,3 +49,8 @@ def test_listing_does_not_load_the_runtime():
         "sys.exit('onnxruntime' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_model_file_is_refused_by_an_estimator_that_reads_none():
+    with pytest.raises(ConfigError, match=r"'mediapipe' takes no model file.*stored"):
+        create_backend(PoseConfig(model="subject.npz"))
