@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -262,24 +263,41 @@ def _evaluate(lift: Lift, work: _Work) -> _Evaluation:
         unknown = dict.fromkeys(inputs, math.nan)
         return _Evaluation(case, results, governing, (math.nan, math.nan), unknown)
 
-    def compute_smallest(drawn: Mapping[str, Array]) -> Array:
-        return np.asarray(np.min([_compute_drawn(drawn, end, work) for end in results], axis=0))
-
-    interval = compute_interval(compute_smallest(draw_inputs(inputs)))
-    return _Evaluation(case, results, governing, interval, compute_shares(compute_smallest, inputs))
-
-
-def _compute_drawn(drawn: Mapping[str, Array], end: str, work: _Work) -> Array:
-    return compute_rwl_array(
-        H=drawn[f"H at {end}"],
-        V=drawn[f"V at {end}"],
-        D=drawn["D"],
-        A=drawn[f"A at {end}"],
-        V_origin=drawn["V at origin"],
-        frequency_per_min=work.frequency_per_min,
-        duration=work.duration,
-        coupling=work.coupling,
+    interval, shares = _propagate(
+        tuple(inputs.items()), tuple(results), work.frequency_per_min, work.duration, work.coupling
     )
+    return _Evaluation(case, results, governing, interval, dict(shares))
+
+
+@lru_cache(maxsize=64)  # several methods, and every question of what-if, ask for the same lift
+def _propagate(
+    inputs: tuple[tuple[str, Measurement], ...],
+    ends: tuple[str, ...],
+    frequency_per_min: float,
+    duration: Duration,
+    coupling: Coupling,
+) -> tuple[tuple[float, float], tuple[tuple[str, float], ...]]:
+    """Return the interval of the smallest RWL of the ends, kg, and each input's share of it."""
+
+    def compute_smallest(drawn: Mapping[str, Array]) -> Array:
+        limits = [
+            compute_rwl_array(
+                H=drawn[f"H at {end}"],
+                V=drawn[f"V at {end}"],
+                D=drawn["D"],
+                A=drawn[f"A at {end}"],
+                V_origin=drawn["V at origin"],
+                frequency_per_min=frequency_per_min,
+                duration=duration,
+                coupling=coupling,
+            )
+            for end in ends
+        ]
+        return np.asarray(np.min(limits, axis=0))
+
+    given = dict(inputs)
+    interval = compute_interval(compute_smallest(draw_inputs(given)))
+    return interval, tuple(compute_shares(compute_smallest, given).items())
 
 
 def _find_refusals(lift: Lift, work: _Work, task: Task) -> list[str]:
