@@ -32,6 +32,7 @@ from engine.video.reader import probe_video
 
 SAMPLES_FILE = Path(__file__).parents[1] / "sample_data" / "samples.toml"
 CHUNK_BYTES = 1 << 20
+CALIBRATION_FOLDER = "calibrations"
 REFERENCE_FOLDER = "reference"
 """Inside a trial's folder, so that it is deleted with the trial."""
 PROFILE_NAME = "profile.toml"
@@ -48,6 +49,12 @@ class Sample:
     values: dict[str, Any]
     note: str
     licence: str
+    second_path: Path | None = None
+
+    @property
+    def videos(self) -> tuple[Path, ...]:
+        """The video, or both."""
+        return (self.path,) if self.second_path is None else (self.path, self.second_path)
 
 
 def library() -> Library:
@@ -121,18 +128,42 @@ def samples() -> tuple[Sample, ...]:
         return ()
     with SAMPLES_FILE.open("rb") as file:
         rows = tomllib.load(file)["sample"]
-    own = {"key", "title", "file", "note", "licence"}
+    own = {"key", "title", "file", "second_file", "calibration", "note", "licence"}
+    folder = SAMPLES_FILE.parent
     return tuple(
         Sample(
             key=row["key"],
             title=row["title"],
-            path=SAMPLES_FILE.parent / row["file"],
-            values={name: value for name, value in row.items() if name not in own},
+            path=folder / row["file"],
+            values={
+                **{name: value for name, value in row.items() if name not in own},
+                "calibration": str(folder / row["calibration"]) if "calibration" in row else "",
+            },
             note=row.get("note", ""),
             licence=row.get("licence", ""),
+            second_path=folder / row["second_file"] if "second_file" in row else None,
         )
         for row in rows
     )
+
+
+def calibrations() -> dict[str, str]:
+    """Return the kept calibrations: path and name, in order of names."""
+    folder = library().root / CALIBRATION_FOLDER
+    return {str(path): path.stem for path in sorted(folder.glob("*.toml"))}
+
+
+def keep_calibration(name: str, text: str) -> None:
+    """Keep a calibration under a name, in the place of an earlier one of that name."""
+    folder = library().root / CALIBRATION_FOLDER
+    folder.mkdir(exist_ok=True)
+    with write_aside(folder / sanitise_name(f"{name}.toml")) as aside:
+        aside.write_text(text, encoding="utf-8")
+
+
+def remove_calibration(path: str) -> None:
+    """Delete a kept calibration."""
+    Path(path).unlink(missing_ok=True)
 
 
 def save_upload(source: IO[bytes], name: str) -> Path:

@@ -10,7 +10,7 @@ import streamlit as st
 
 from dashboard import cache, state
 from dashboard.labels import COUPLINGS, HELP, format_span
-from dashboard.widgets import show_problem
+from dashboard.widgets import ASSETS, show_problem
 from engine.datatypes import Coupling, Subject, Task
 from engine.errors import ConfigError, EngineError
 from engine.jobs.local import JobRequest
@@ -48,12 +48,19 @@ def is_complete() -> bool:
     return not any(find_problem(field) for field in _CHECKS)
 
 
-def read_request(video: Path) -> JobRequest:
+def find_obstacle(videos: tuple[Path, ...]) -> str:
+    """Return what is to be done before the assessment can start; empty if nothing."""
+    if not videos:
+        return "Add the second video too." if state.upload(0) else "Add a video first."
+    return "" if is_complete() else "Correct the marked fields."
+
+
+def read_request(videos: tuple[Path, ...]) -> JobRequest:
     """Return the request the form describes."""
     value = state.field_value
     return JobRequest(
-        videos=(video,),
-        label=(value("label") or "").strip() or video.stem.replace("_", " "),
+        videos=videos,
+        label=(value("label") or "").strip() or videos[0].stem.replace("_", " "),
         subject=Subject(
             label=(value("subject") or "").strip() or "subject",
             stature_m=value("stature_m"),
@@ -69,11 +76,22 @@ def read_request(video: Path) -> JobRequest:
             recovery_h=value("recovery_h"),
             destination_control=value("destination_control"),
         ),
+        config={"two_view": _two_view_settings()} if len(videos) == 2 else {},
     )
 
 
-def ask_video() -> Path | None:
-    """Ask for a video, uploaded or bundled; return where it lies once it is usable."""
+def _two_view_settings() -> dict[str, str]:
+    offset_s, cameras = state.field_value("offset_s"), state.field_value("calibration")
+    if cameras is None:  # a sample brings its own, without a field
+        cameras = state.initial_value("calibration", "")
+    return {
+        "sync": "auto" if offset_s is None else f"{offset_s:g}",
+        "calibration": cameras,
+    }
+
+
+def ask_videos() -> tuple[Path, ...]:
+    """Ask for one video or two, uploaded or bundled; return where they lie once all are usable."""
     samples = cache.samples()
     source = st.segmented_control(
         "Where is the video?",
@@ -83,12 +101,58 @@ def ask_video() -> Path | None:
         key=state.SOURCE_KEY,
         label_visibility="collapsed",
     )
-    return _ask_sample(samples) if samples and source == state.SAMPLE_SOURCE else _ask_upload()
+    if samples and source == state.SAMPLE_SOURCE:
+        return _ask_sample(samples)
+    first = _ask_upload(0, "Video of the lift")
+    if not _wants_second():
+        return () if first is None else (first,)
+    second = _ask_second()
+    return (first, second) if first and second else ()
 
 
-def _ask_sample(samples: tuple[cache.Sample, ...]) -> Path:
+def _wants_second() -> bool:
+    wanted = st.toggle(
+        "Filmed by a second camera too",
+        value=bool(state.initial_value("two_cameras", otherwise=False)),
+        key=state.field_key("two_cameras"),
+        help=HELP["two_cameras"],
+    )
+    if not wanted and state.upload_transfer(1) is not None:
+        _discard(1)
+    return wanted
+
+
+def _ask_second() -> Path | None:
+    st.image(str(ASSETS / "two-cameras.svg"), width="stretch")
+    second = _ask_upload(1, "The same lift from the other camera")
+    kept = cache.calibrations()
+    start = state.initial_value("calibration") or ""
+    cameras, clock = st.columns(2)
+    with cameras:
+        st.selectbox(
+            "Where the cameras stand",
+            ["", *kept],
+            index=["", *kept].index(start) if start in kept else 0,
+            format_func=lambda path: kept[path] if path else "Found from the moving person",
+            key=state.field_key("calibration"),
+            help=HELP["calibration"],
+        )
+    with clock:
+        st.number_input(
+            "Time between the videos (s)",
+            value=state.initial_value("offset_s"),
+            step=0.01,
+            format="%.3f",
+            placeholder="found from the movement",
+            key=state.field_key("offset_s"),
+            help=HELP["offset_s"],
+        )
+    return second
+
+
+def _ask_sample(samples: tuple[cache.Sample, ...]) -> tuple[Path, ...]:
     titles = {sample.key: sample.title for sample in samples}
-    notes = {sample.key: sample for sample in samples}
+    known = {sample.key: sample for sample in samples}
     key = st.radio(
         "Sample",
         list(titles),
@@ -100,72 +164,74 @@ def _ask_sample(samples: tuple[cache.Sample, ...]) -> Path:
     )
     if state.initial_value("sample") != key:
         _take_sample()
-    st.caption(f"What is known of the sample is filled in below. Licence: {notes[key].licence}.")
-    return notes[key].path
+    st.caption(f"What is known of the sample is filled in below. Licence: {known[key].licence}.")
+    return known[key].videos
 
 
 def _take_sample() -> None:
     state.fill_from_sample(next(s for s in cache.samples() if s.key == state.chosen_sample()))
 
 
-def _ask_upload() -> Path | None:
+def _ask_upload(slot: int, title: str) -> Path | None:
     arrived = st.file_uploader(
-        "Video of the lift",
+        title,
         type=VIDEO_TYPES,
-        key=state.field_key("uploader"),
-        help="One person who lifts, filmed from the side; a few seconds to a few minutes.",
+        key=state.field_key(f"uploader_{slot}"),
+        help="One person who lifts, a few seconds to a few minutes." if slot else HELP["video"],
     )
-    if arrived is not None and not state.is_known_transfer(arrived.file_id):
-        _receive(arrived)
-    if arrived is None and state.upload_transfer():
-        _discard()  # the user took it back
-    rejected = state.rejected_upload()
+    if arrived is not None and not state.is_known_transfer(arrived.file_id, slot):
+        _receive(arrived, slot)
+    if arrived is None and state.upload_transfer(slot):
+        _discard(slot)  # the user took it back
+    rejected = state.rejected_upload(slot)
     if arrived is not None and rejected and rejected[0] == arrived.file_id:
         st.error(rejected[1], icon=":material/error:")
         return None
-    upload = state.upload()
+    upload = state.upload(slot)
     if upload is None:
-        with st.expander("How to film a lift", icon=":material/videocam:"):
-            st.markdown("\n".join(f"- {line}" for line in FILMING))
+        if slot == 0:
+            with st.expander("How to film a lift", icon=":material/videocam:"):
+                st.markdown("\n".join(f"- {line}" for line in FILMING))
         return None
     st.success(f"{upload.path.name}: {upload.facts}", icon=":material/check_circle:")
     return upload.path
 
 
-def _receive(arrived: Any) -> None:
+def _receive(arrived: Any, slot: int) -> None:
     """Put an upload on disk at once and look whether it is a usable video."""
     path = cache.save_upload(arrived, arrived.name)
     try:
         info = cache.video_facts(path)
     except EngineError as error:
         path.unlink()
-        state.set_upload(None)
-        state.set_rejected_upload(arrived.file_id, str(error))
+        state.set_upload(None, slot)
+        state.set_rejected_upload(arrived.file_id, str(error), slot)
         return
     width, height = info.size_px
     facts = f"{format_span(info.duration_s)}, {width} × {height}, {info.fps:.0f} pictures a second"
-    state.set_upload(state.Upload(path, arrived.file_id, facts))
+    state.set_upload(state.Upload(path, arrived.file_id, facts), slot)
 
 
-def _discard() -> None:
-    upload = state.upload()
+def _discard(slot: int) -> None:
+    upload = state.upload(slot)
     if upload is not None:
         upload.path.unlink(missing_ok=True)
-    state.set_upload(None)
+    state.set_upload(None, slot)
 
 
 def clear() -> None:
-    """Start over: the video now belongs to a job."""
-    state.set_upload(None)
+    """Start over: the videos now belong to a job."""
+    for slot in (0, 1):
+        state.set_upload(None, slot)
     state.fill_form(None)
 
 
 def take_back(request: JobRequest) -> None:
-    """Fill the form with the request of an ended job, its video included."""
+    """Fill the form with the request of an ended job, its videos included."""
     state.fill_form(request)
-    video = request.videos[0]
-    if cache.library().uploads in video.parents and video.exists():
-        state.set_upload(state.Upload(video, "", "kept from the last try"))
+    for slot, video in enumerate(request.videos):
+        if cache.library().uploads in video.parents and video.exists():
+            state.set_upload(state.Upload(video, "", "kept from the last try"), slot)
 
 
 def ask_person() -> None:

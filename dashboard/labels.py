@@ -151,6 +151,19 @@ INPUTS: dict[str, str] = {
 }
 
 HELP: dict[str, str] = {
+    "video": "One person who lifts, filmed from the side; a few seconds to a few minutes.",
+    "two_cameras": (
+        "A second phone, 70 to 110 degrees round the person from the first, makes distances, "
+        "twisting and the far arm much more certain. Both must see the whole person."
+    ),
+    "calibration": (
+        "Where the cameras stand and what their lenses do. Found from the moving person it needs "
+        "nothing but the body height; cameras calibrated beforehand are more exact."
+    ),
+    "offset_s": (
+        "Seconds to add to the times of the second video to get those of the first. Left empty, "
+        "it is found from the movement and from the sound."
+    ),
     "label": "Shown in the list of trials, for example: crate to shelf.",
     "subject": "A pseudonym, never the name of the person.",
     "stature": (

@@ -27,6 +27,7 @@ UPLOAD_SOURCE, SAMPLE_SOURCE = "Upload a video", "Use a sample"
 FIELDS = (
     "label", "subject", "stature_m", "sex", "mass_kg", "load_kg", "hands", "coupling",
     "frequency_per_min", "duration_h", "recovery_h", "destination_control", "sample",
+    "two_cameras", "calibration", "offset_s",
 )  # fmt: skip
 
 
@@ -82,37 +83,43 @@ def job_parameters(identifier: str) -> dict[str, str]:
     return {_JOB: identifier}
 
 
-def upload() -> Upload | None:
-    """Return the uploaded video of this session."""
-    found: Upload | None = st.session_state.get(_UPLOAD)
+def _slot(key: str, slot: int) -> str:
+    return f"{key}_{slot}"
+
+
+def upload(slot: int = 0) -> Upload | None:
+    """Return an uploaded video of this session: the first or, with slot 1, the second."""
+    found: Upload | None = st.session_state.get(_slot(_UPLOAD, slot))
     return found if found is None or found.path.exists() else None
 
 
-def set_upload(value: Upload | None) -> None:
-    """Remember the uploaded video."""
-    st.session_state[_UPLOAD] = value
+def set_upload(value: Upload | None, slot: int = 0) -> None:
+    """Remember an uploaded video."""
+    st.session_state[_slot(_UPLOAD, slot)] = value
 
 
-def rejected_upload() -> tuple[str, str] | None:
+def rejected_upload(slot: int = 0) -> tuple[str, str] | None:
     """Return the transfer that was refused, and why."""
-    found: tuple[str, str] | None = st.session_state.get(_REJECTED)
+    found: tuple[str, str] | None = st.session_state.get(_slot(_REJECTED, slot))
     return found
 
 
-def set_rejected_upload(transfer_id: str, why: str) -> None:
+def set_rejected_upload(transfer_id: str, why: str, slot: int = 0) -> None:
     """Remember a refused upload."""
-    st.session_state[_REJECTED] = (transfer_id, why)
+    st.session_state[_slot(_REJECTED, slot)] = (transfer_id, why)
 
 
-def is_known_transfer(transfer_id: str) -> bool:
+def is_known_transfer(transfer_id: str, slot: int = 0) -> bool:
     """Whether an upload was dealt with already: saved, handed to a job, or refused."""
-    refused = rejected_upload()
-    return transfer_id == upload_transfer() or (refused is not None and refused[0] == transfer_id)
+    refused = rejected_upload(slot)
+    return transfer_id == upload_transfer(slot) or (
+        refused is not None and refused[0] == transfer_id
+    )
 
 
-def upload_transfer() -> str | None:
+def upload_transfer(slot: int = 0) -> str | None:
     """Return by which transfer the present upload came; empty for one an ended job gave back."""
-    found: Upload | None = st.session_state.get(_UPLOAD)
+    found: Upload | None = st.session_state.get(_slot(_UPLOAD, slot))
     return None if found is None else found.transfer_id
 
 
@@ -168,4 +175,12 @@ def fill_form(request: JobRequest | None) -> None:
 def _form_values(request: JobRequest) -> dict[str, Any]:
     known = {f: getattr(request.task, f) for f in FIELDS if hasattr(request.task, f)}
     known |= {f: getattr(request.subject, f) for f in FIELDS if hasattr(request.subject, f)}
-    return {**known, "label": request.label, "subject": request.subject.label}
+    two_view = request.settings.two_view
+    return {
+        **known,
+        "label": request.label,
+        "subject": request.subject.label,
+        "two_cameras": len(request.videos) == 2,
+        "calibration": two_view.calibration,
+        "offset_s": two_view.given_offset_s,
+    }

@@ -9,7 +9,7 @@ from typing import Any
 
 import engine
 from engine.cli_settings import AssessSettings
-from engine.config import Config, build_section
+from engine.config import Config, TwoViewConfig, build_section
 from engine.datatypes import Subject, Task, Trial, View, parse_coupling
 from engine.errors import BackendUnavailable, ConfigError
 
@@ -45,6 +45,8 @@ class Sample:
     subject: Subject
     task: Task
     licence: str = ""
+    second_video: Path | None = None
+    calibration: Path | None = None
 
     @property
     def trial_id(self) -> str:
@@ -53,10 +55,22 @@ class Sample:
 
     def settings(self, *, is_quiet: bool) -> AssessSettings:
         """Return what an assessment needs, with default settings."""
+        videos = [video for video in (self.video, self.second_video) if video]
         trial = Trial(
-            views=(View(self.video),), subject=self.subject, task=self.task, label=self.title
+            views=tuple(View(video) for video in videos),
+            subject=self.subject,
+            task=self.task,
+            label=self.title,
         )
-        return AssessSettings(trial=trial, config=Config(), out=Path(), is_quiet=is_quiet)
+        cameras = "" if self.calibration is None else str(self.calibration)
+        config = Config(two_view=TwoViewConfig(calibration=cameras))
+        return AssessSettings(trial=trial, config=config, out=Path(), is_quiet=is_quiet)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file the sample needs."""
+        wanted = (self.video, self.second_video, self.calibration)
+        return tuple(path for path in wanted if path is not None)
 
 
 def read_samples(folder: Path | None = None) -> tuple[Sample, ...]:
@@ -82,11 +96,12 @@ def read_samples(folder: Path | None = None) -> tuple[Sample, ...]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise ConfigError(f"{path} is not a list of samples ({error!r}); restore it.") from error
     for sample in samples:
-        if not sample.video.is_file():
-            raise SamplesMissing(
-                f"The sample {sample.key!r} needs {sample.video}, which is not there; get a whole "
-                "clone of the project."
-            )
+        for path in sample.files:
+            if not path.is_file():
+                raise SamplesMissing(
+                    f"The sample {sample.key!r} needs {path}, which is not there; get a whole "
+                    "clone of the project."
+                )
     return samples
 
 
@@ -100,6 +115,8 @@ def _build_sample(folder: Path, entry: dict[str, Any]) -> Sample:
         title=entry["title"],
         video=folder / entry["file"],
         subject=build_section("sample", Subject, {"label": entry["key"], **subject}),
+        second_video=folder / entry["second_file"] if "second_file" in entry else None,
+        calibration=folder / entry["calibration"] if "calibration" in entry else None,
         task=build_section("sample", Task, task),
         licence=entry.get("licence", ""),
     )

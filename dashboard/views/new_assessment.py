@@ -18,7 +18,7 @@ with st.container(width=form.WIDTH_PX):
     st.title("New assessment", anchor=False)
     with st.container(border=True):
         st.subheader("1. The video", anchor=False)
-        video = form.ask_video()
+        videos = form.ask_videos()
     with st.container(border=True):
         st.subheader("2. The person", anchor=False)
         form.ask_person()
@@ -27,23 +27,23 @@ with st.container(width=form.WIDTH_PX):
         st.caption("What a camera can't see. What you leave open is assumed, and said so.")
         form.ask_task()
 
-    is_ready = video is not None and form.is_complete()
+    obstacle = form.find_obstacle(videos)
     with st.container(horizontal=True, vertical_alignment="center"):
         start = st.button(
             "Start",
             key="start",
             type="primary",
             icon=":material/play_arrow:",
-            disabled=not is_ready,
+            disabled=bool(obstacle),
         )
-        if not is_ready:
-            st.caption("Add a video first." if video is None else "Correct the marked fields.")
+        if obstacle:
+            st.caption(obstacle)
     st.caption(
-        "Everything stays on this computer. After the assessment the uploaded video is deleted; "
-        "what is kept is the annotated copy with blurred heads."
+        "Everything stays on this computer. After the assessment uploaded videos are deleted; "
+        "what is kept are annotated copies with blurred heads."
     )
-if start and video is not None:
-    job_id = queue.submit(form.read_request(video))
+if start and videos:
+    job_id = queue.submit(form.read_request(videos))
     form.clear()
     state.set_job_id(job_id)
     st.rerun()

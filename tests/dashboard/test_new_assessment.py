@@ -64,6 +64,38 @@ def test_start_waits_for_a_video(form):
     assert not form.error
 
 
+def test_a_second_camera_is_asked_for_and_reaches_the_job(form, queue, tmp_path):
+    content = write_clip(tmp_path / "a.mp4").read_bytes()
+    upload(form, content=content)
+    cache.keep_calibration("Hall 2, packing", "up = [0, 1, 0]")
+    form.toggle[0].set_value(True).run()
+    assert form.button(key="start").disabled
+    assert any("Add the second video too" in c.value for c in form.caption)
+    form.file_uploader[1].set_value(("front.mp4", content, "video/mp4"))
+    form.run()
+    assert not form.button(key="start").disabled
+    next(s for s in form.selectbox if s.label.startswith("Where")).set_value(
+        next(iter(cache.calibrations()))
+    )
+    field(form, "Time between").set_value(0.35)
+    form.button(key="start").click().run()
+    request = queue.request(queue.jobs()[0].id)
+    assert [v.name for v in request.videos] == ["lift.mp4", "front.mp4"]
+    assert request.settings.two_view.given_offset_s == 0.35
+    assert Path(request.settings.two_view.calibration).stem == "Hall_2_packing"
+
+
+def test_a_second_video_goes_when_the_second_camera_is_switched_off(form, library, tmp_path):
+    content = write_clip(tmp_path / "a.mp4").read_bytes()
+    upload(form, content=content)
+    form.toggle[0].set_value(True).run()
+    form.file_uploader[1].set_value(("front.mp4", content, "video/mp4"))
+    form.run()
+    form.toggle[0].set_value(False).run()
+    assert [p.name for p in library.uploads.rglob("*.mp4")] == ["lift.mp4"]
+    assert not form.button(key="start").disabled
+
+
 @pytest.mark.parametrize(
     ("label", "value", "sentence"),
     [
