@@ -21,6 +21,7 @@ from engine.errors import DataError
 
 __all__ = [
     "compute_back_damage",
+    "compute_damage",
     "compute_duet_damage",
     "compute_risk_percent",
     "compute_shoulder_damage",
@@ -68,6 +69,21 @@ def compute_risk_percent(damage: float, tool: Tool) -> float:
         return 100.0
     intercept, slope = _ODDS[tool]
     return 100.0 / (1.0 + math.exp(-(intercept + slope * math.log10(damage))))
+
+
+def compute_damage(percent: float, tool: Tool) -> float:
+    """Compute the daily damage that has a given probability (%): undoes `compute_risk_percent`.
+
+    0 where the probability is 0, infinite where it is 100; NaN where it is not known.
+    """
+    if not 0.0 <= percent <= 100.0:
+        if math.isnan(percent):
+            return math.nan
+        raise DataError(f"A probability must lie between 0 and 100 %, got {percent:g} %.")
+    if percent in (0.0, 100.0):
+        return 0.0 if percent == 0.0 else math.inf
+    intercept, slope = _ODDS[tool]
+    return float(10.0 ** ((math.log(percent / (100.0 - percent)) - intercept) / slope))
 
 
 def compute_back_damage(moment_nm: float) -> float:
