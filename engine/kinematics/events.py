@@ -28,7 +28,15 @@ from engine.datatypes import (
 )
 from engine.skeletons import Skeleton, get_skeleton
 
-__all__ = ["Hands", "LiftFindings", "Move", "compute_hands", "detect_lifts", "measure_end"]
+__all__ = [
+    "Hands",
+    "LiftFindings",
+    "Move",
+    "compute_hands",
+    "detect_lifts",
+    "find_conditions",
+    "measure_end",
+]
 
 KNUCKLE_RATIO = {"male": 0.32, "female": 0.30, None: 0.31}
 """Wrist to third knuckle over elbow to wrist: hand and forearm lengths of de Leva (1996)."""
@@ -503,7 +511,7 @@ def detect_lifts(
         notes = (*doubts, *_notes(track, hands, move, scene, stature_m, max_hand_separation_m))
         lifts.append(_measure_lift(track, angles, hands, scene, move, moves, notes, rate_hz))
     warnings += _explain(doubts, rate_hz)
-    return LiftFindings(tuple(lifts), _conditions(track, stature_m), tuple(warnings))
+    return LiftFindings(tuple(lifts), find_conditions(track, stature_m), tuple(warnings))
 
 
 def _left_out(time_s: Array, move: Move, reason: str) -> str:
@@ -553,7 +561,8 @@ def _explain(doubts: list[str], rate_hz: float) -> list[str]:
     return found
 
 
-def _conditions(track: PoseTrack, stature_m: float) -> tuple[str, ...]:
+def find_conditions(track: PoseTrack, stature_m: float) -> tuple[str, ...]:
+    """Return the conditions of a whole clip that touch the validity of risk methods."""
     skeleton = get_skeleton(track.skeleton)
     hips = skeleton.point(np.asarray(track.position), "pelvis")[:, 1]
     known = hips[np.isfinite(hips)]
