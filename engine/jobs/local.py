@@ -1,15 +1,15 @@
-"""Assessments in worker processes of this computer, with all state on disk.
+"""Assessments in worker processes of this computer, with all state in the library.
 
-A job is a folder below the library's `jobs`::
+What is known about a job is a row of the library's queue; its folder below `jobs` holds::
 
-    request.json   what to do (`JobRequest`), written before the folder gets its name
     videos/        the uploaded videos, until the job has succeeded
-    state.json     what the worker last said; missing while the job waits
     alive.lock     locked by the worker for as long as it lives
-    cancel         exists once somebody asked to stop
+    result/        what the worker has finished but not yet moved into the library
     worker.log     what the worker wrote to stderr
 
-So every page, tab and process sees the same, and a restart of the dashboard changes nothing.
+So every page, tab and process sees the same, and a restart of the dashboard changes nothing. A
+worker that was killed is noticed by the lock the operating system took from it; its job is
+tried once more, since most often the computer was switched off.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from engine.errors import ConfigError, EngineError
-from engine.jobs.locks import hold, is_held
 from engine.jobs.request import JobRequest
+from engine.jobs.store import AT_WORK, HOST, OVER, JobState, JobStatus, JobStore
 from engine.storage.atomic import explain_os_errors, hidden_sibling
 from engine.storage.library import Library
+from engine.storage.locks import is_held
 
 __all__ = ["JobQueue", "JobRequest", "JobState", "JobStatus", "default_workers"]
 
@@ -43,59 +43,14 @@ STARTUP_GRACE_S = 30.0
 """How long a new worker may take until it holds its lock."""
 CANCEL_GRACE_S = 10.0
 """How long a worker may take to stop by itself before it is killed."""
+SILENCE_S = 180.0
+"""A worker of another computer that gave no sign of life for so long is dead."""
+MAX_ATTEMPTS = 2
+"""How often a job is started whose worker was killed."""
 KEEP_UPLOADS_S = 24 * 3600.0
 """How long a video that was uploaded but never assessed is kept: it shows faces."""
 KEEP_JOBS_S = 7 * 24 * 3600.0
 """How long ended jobs are kept; their results stay in the library."""
-
-
-class JobState(StrEnum):
-    """Where a job stands."""
-
-    QUEUED = "queued"
-    STARTING = "starting"
-    RUNNING = "running"
-    DONE = "done"
-    FAILED = "failed"
-    CANCELLED = "cancelled"
-
-    @property
-    def is_over(self) -> bool:
-        """Whether nothing more will happen."""
-        return self in (JobState.DONE, JobState.FAILED, JobState.CANCELLED)
-
-
-@dataclass(frozen=True)
-class JobStatus:
-    """What is known about a job now.
-
-    `stage` is the key of the running step; `done` of `total` units of it are finished (0:
-    unknown). `fraction` is that of the whole job, 0 to 1. `message` says why a job
-    failed. Times are seconds since 1970.
-    """
-
-    id: str
-    state: JobState = JobState.QUEUED
-    label: str = ""
-    stage: str = ""
-    done: int = 0
-    total: int = 0
-    fraction: float = 0.0
-    message: str = ""
-    exit_code: int | None = None
-    trial_id: str | None = None
-    pid: int | None = None
-    submitted_s: float = 0.0
-    started_s: float | None = None
-    ended_s: float | None = None
-    jobs_ahead: int = 0
-
-    @property
-    def elapsed_s(self) -> float:
-        """Time since the worker was started; 0 while the job waits."""
-        if self.started_s is None:
-            return 0.0
-        return max(0.0, (self.ended_s or time.time()) - self.started_s)
 
 
 def default_workers() -> int:
@@ -128,33 +83,49 @@ class JobQueue:
         self.root = library.jobs
         self.max_workers = max_workers or default_workers()
         self.command = command
+        self.store = JobStore(library)
 
-    def submit(self, request: JobRequest) -> str:
+    def submit(self, request: JobRequest, *, priority: int = 0) -> str:
         """Add a job to the queue and start it if a worker is free; return its id.
 
         The trial it makes will have the same id.
+
+        Parameters
+        ----------
+        request
+            What to do.
+        priority
+            A higher one is started first; jobs of one priority in the order they came.
 
         Raises
         ------
         ConfigError
             If a video is not there.
+        OutputError
+            If the library takes nothing; uploads stay where they were.
         """
-        for video in request.videos:
-            if not video.is_file():
-                raise ConfigError(f"The video {video.name} is not there any more; add it again.")
+        _require_videos(request)
         folder = self.root / self.library.new_id()
         aside = hidden_sibling(folder)
-        with explain_os_errors(folder, "The job"):
-            aside.mkdir()
-            request = replace(
-                request,
-                videos=tuple(
-                    self._adopt(video, aside, Path("videos", str(number), video.name), folder)
-                    for number, video in enumerate(request.videos)
-                ),
-            )
-            (aside / "request.json").write_text(request.as_json(), encoding="utf-8")
-            aside.rename(folder)
+        own = request
+        try:
+            with explain_os_errors(folder, "The job"):
+                aside.mkdir()
+                places = [Path("videos", str(n), v.name) for n, v in enumerate(request.videos)]
+                own = replace(
+                    request,
+                    videos=tuple(
+                        self._adopt(video, aside, place, folder)
+                        for video, place in zip(request.videos, places, strict=True)
+                    ),
+                )
+                aside.rename(folder)
+            self.store.add(folder.name, own, priority=priority)
+        except BaseException:
+            _give_back(request.videos, own.videos, folder)
+            for part in (aside, folder):
+                shutil.rmtree(part, ignore_errors=True)
+            raise
         self.advance()
         return folder.name
 
@@ -167,68 +138,100 @@ class JobQueue:
             If there is no such job.
         """
         self.advance()
-        return self._read(self._folder(job_id))
+        return self.store.read(job_id)
 
     def jobs(self) -> tuple[JobStatus, ...]:
         """Return all jobs, oldest first."""
         self.advance()
-        return tuple(self._read(folder) for folder in self._folders())
+        return self.store.all()
 
     def request(self, job_id: str) -> JobRequest:
         """Return what a job was asked to do."""
-        path = self._folder(job_id) / "request.json"
-        return JobRequest.from_json(path.read_text(encoding="utf-8"))
+        return self.store.request(job_id)
 
     def cancel(self, job_id: str) -> None:
         """Ask a job to stop; a waiting one never starts. Ended jobs stay as they are."""
-        folder = self._folder(job_id)
-        if not self._read(folder).state.is_over:
-            (folder / "cancel").touch()
+        status = self.store.read(job_id)
+        if not status.state.is_over and status.cancel_requested_s is None:
+            unfinished = (JobState.QUEUED, *AT_WORK)
+            self.store.change(job_id, expected=unfinished, cancel_requested_s=time.time())
+        self.advance()
+
+    def retry(self, job_id: str) -> None:
+        """Let a job that failed or was cancelled wait for another try, with the same request.
+
+        Raises
+        ------
+        ConfigError
+            If it is not over, has succeeded, or its video is gone.
+        """
+        _require_videos(self.request(job_id))
+        again = (JobState.FAILED, JobState.CANCELLED)
+        if not self.store.requeue(job_id, expected=again, attempts=0):
+            raise ConfigError(f"The job {job_id!r} has not failed, so there is nothing to repeat.")
         self.advance()
 
     def withdraw(self, job_id: str) -> JobRequest:
         """Remove an ended job and return its request, with its uploads back where they were."""
-        folder = self._folder(job_id)
-        request = self.request(job_id)
-        if not self._read(folder).state.is_over:
+        request, folder = self.request(job_id), self.root / job_id
+        if not self.store.read(job_id).state.is_over:
             raise ConfigError(f"The job {job_id!r} is still at work; cancel it first.")
         request = replace(request, videos=tuple(self._return(v, folder) for v in request.videos))
-        _remove(folder)
+        self._remove(job_id)
         return request
 
     def forget(self, job_id: str) -> None:
         """Remove an ended job, with the uploaded video it still holds."""
-        folder = self._folder(job_id)
-        if self._read(folder).state.is_over:
-            _remove(folder)
+        if self.store.read(job_id).state.is_over:
+            self._remove(job_id)
 
     def advance(self) -> None:
-        """Bring the state on disk up to date and start waiting jobs where a worker is free."""
-        with hold(self.root / ".lock"):
-            self._clear_uploads()
-            running = 0
-            for folder in self._folders():
-                status = self._settle(folder)
-                if status.state is JobState.QUEUED and running < self.max_workers:
-                    status = self._start(folder, status)
-                running += status.state in (JobState.STARTING, JobState.RUNNING)
-                if status.state.is_over and time.time() - (status.ended_s or 0) > KEEP_JOBS_S:
-                    _remove(folder)
+        """Bring the queue up to date and start waiting jobs where a worker is free."""
+        if self.library.is_read_only:
+            return
+        self._clear_uploads()
+        self._take_in_folders()
+        jobs = [self._settle(job) for job in self.store.unfinished()]
+        if any(job.state is JobState.QUEUED for job in jobs):
+            while (job := self.store.claim_next(self.max_workers)) is not None:
+                self._start(job)
+        for job_id in self.store.ended_before(time.time() - KEEP_JOBS_S):
+            self._remove(job_id)
+
+    # ------------------------------------------------------------------ files
 
     def _clear_uploads(self) -> None:
         for folder in self.library.uploads.iterdir():
-            if not folder.name.startswith(".") and _age_s(folder) > KEEP_UPLOADS_S:
-                _remove(folder)
+            with contextlib.suppress(FileNotFoundError):
+                if not folder.name.startswith(".") and _age_s(folder) > KEEP_UPLOADS_S:
+                    _remove_folder(folder)
 
-    def _folder(self, job_id: str) -> Path:
-        folder = self.root / job_id
-        if folder not in self._folders():
-            raise ConfigError(f"There is no job {job_id!r}; it may have been cleared.")
-        return folder
+    def _take_in_folders(self) -> None:
+        """Put jobs of an older LiftLens into the queue; remove what a killed process left."""
+        known: set[str] | None = None
+        for folder in [p for p in self.root.iterdir() if not p.name.startswith(".")]:
+            request = folder / "request.json"
+            if not request.exists() and (not folder.is_dir() or _is_young(folder)):
+                continue
+            known = self.store.ids() if known is None else known
+            if folder.name in known:
+                continue
+            if not request.exists():
+                _remove_folder(folder)
+            elif not is_held(folder / "alive.lock"):
+                self._take_in(folder, request)
 
-    def _folders(self) -> tuple[Path, ...]:
-        visible = (p for p in self.root.iterdir() if not p.name.startswith("."))
-        return tuple(sorted(p for p in visible if (p / "request.json").exists()))
+    def _take_in(self, folder: Path, request: Path) -> None:
+        try:
+            asked = JobRequest.from_json(request.read_text(encoding="utf-8"))
+            known = _read_old_state(folder)
+            known.setdefault("submitted_s", request.stat().st_mtime)
+        except (EngineError, OSError, ValueError) as error:
+            logger.warning("The job %s can't be read and is left alone: %s", folder.name, error)
+            return
+        self.store.add(folder.name, asked, **known)
+        for name in ("request.json", "state.json", "cancel"):
+            (folder / name).unlink(missing_ok=True)
 
     def _adopt(self, video: Path, aside: Path, place: Path, folder: Path) -> Path:
         """Return where the job finds the video: uploads at `place` in its own folder."""
@@ -246,43 +249,73 @@ class JobQueue:
         target = self.library.upload_folder(self.library.new_id()) / video.name
         return Path(shutil.move(video, target))
 
-    def _read(self, folder: Path) -> JobStatus:
-        status = read_state(folder)
-        if status.state is not JobState.QUEUED:
-            return status
-        earlier = (read_state(f) for f in self._folders() if f.name < folder.name)
-        return replace(status, jobs_ahead=sum(not s.state.is_over for s in earlier))
+    def _remove(self, job_id: str) -> None:
+        _remove_folder(self.root / job_id)
+        _reap(self.root / job_id)
+        self.store.remove(job_id)
 
-    def _settle(self, folder: Path) -> JobStatus:
+    # ------------------------------------------------------------------ workers
+
+    def _settle(self, job: JobStatus) -> JobStatus:
         """Write down what nobody else could: workers that died, cancelled jobs that never ran."""
-        status = read_state(folder)
-        cancelled = (folder / "cancel").exists()
-        if status.state.is_over:
-            return status
-        if status.state is JobState.QUEUED:
-            return _end(folder, status, JobState.CANCELLED) if cancelled else status
-        if is_held(folder / "alive.lock"):
-            if cancelled and _age_s(folder / "cancel") > CANCEL_GRACE_S:
-                _kill(status.pid)
-            return status
-        if status.state is JobState.STARTING and _may_still_start(folder, status):
-            return status
-        return self._bury(folder, cancelled=cancelled)
+        if job.state is JobState.QUEUED:
+            return job if job.cancel_requested_s is None else self._end(job, JobState.CANCELLED)
+        if self._is_alive(job):
+            self._press(job)
+            return job
+        if job.state is JobState.STARTING and self._may_still_start(job):
+            return job
+        return self._bury(job)
 
-    def _bury(self, folder: Path, *, cancelled: bool) -> JobStatus:
-        """End a job whose worker is gone."""
-        status = read_state(folder)  # it may have ended between the two looks
-        if status.state.is_over:
-            return status
-        if cancelled:
-            return _end(folder, status, JobState.CANCELLED)
-        logger.warning("The worker of job %s died; see %s", status.id, folder / "worker.log")
-        return _end(folder, status, JobState.FAILED, message=_obituary(folder))
+    def _is_alive(self, job: JobStatus) -> bool:
+        # A library in a file belongs to one computer, even if that was given a new name.
+        if job.host == HOST or self.library.database.is_sqlite:
+            return is_held(self.root / job.id / "alive.lock")
+        return time.time() - (job.heartbeat_s or job.started_s or 0.0) < SILENCE_S
 
-    def _start(self, folder: Path, status: JobStatus) -> JobStatus:
-        status = replace(status, state=JobState.STARTING, started_s=time.time())
-        write_state(folder, status)
+    def _press(self, job: JobStatus) -> None:
+        """End a worker that was asked to stop and doesn't."""
+        asked_s = job.cancel_requested_s
+        if asked_s is None or time.time() - asked_s <= CANCEL_GRACE_S or job.host != HOST:
+            return
+        if job.pid is not None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(job.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+    def _may_still_start(self, job: JobStatus) -> bool:
+        if _reap(self.root / job.id) is not None:
+            return False
+        return job.elapsed_s < STARTUP_GRACE_S
+
+    def _bury(self, job: JobStatus) -> JobStatus:
+        """End a job whose worker is gone, or let it try once more."""
+        _reap(self.root / job.id)
+        if job.cancel_requested_s is not None:
+            return self._end(job, JobState.CANCELLED)
+        log = self.root / job.id / "worker.log"
+        logger.warning("The worker of job %s died; see %s", job.id, log)
+        if job.state is JobState.RUNNING and job.attempts < MAX_ATTEMPTS:
+            self.store.requeue(job.id, expected=(job.state,))
+            return self.store.read(job.id)
+        return self._end(job, JobState.FAILED, message=_obituary(job, log))
+
+    def _end(self, job: JobStatus, state: JobState, message: str = "") -> JobStatus:
+        exit_code = 130 if state is JobState.CANCELLED else job.exit_code
+        self.store.change(
+            job.id,
+            expected=(job.state,),
+            state=state,
+            message=message,
+            exit_code=exit_code,
+            ended_s=time.time(),
+        )
+        _reap(self.root / job.id)
+        return self.store.read(job.id)
+
+    def _start(self, job: JobStatus) -> None:
+        folder = self.root / job.id
         try:
+            folder.mkdir(exist_ok=True)
             with (folder / "worker.log").open("ab") as log:
                 _children[folder] = subprocess.Popen(
                     [*self.command, str(folder)],
@@ -294,44 +327,11 @@ class JobQueue:
                 )
         except OSError as error:
             message = f"The worker can't be started ({error.strerror}); check the installation."
-            return _end(folder, status, JobState.FAILED, message=message)
-        return status
+            self._end(job, JobState.FAILED, message=message)
 
 
 _children: dict[Path, subprocess.Popen[bytes]] = {}
 """Workers this process started, so that they don't stay as zombies."""
-
-
-def read_state(folder: Path) -> JobStatus:
-    """Return what `state.json` says; queued while there is none."""
-    submitted_s = (folder / "request.json").stat().st_mtime
-    try:
-        plain: dict[str, Any] = json.loads((folder / "state.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return JobStatus(id=folder.name, label=_label(folder), submitted_s=submitted_s)
-    return JobStatus(**{**plain, "state": JobState(plain["state"])})
-
-
-def write_state(folder: Path, status: JobStatus) -> None:
-    """Replace `state.json` as a whole."""
-    aside = folder / f"state.{os.getpid()}.tmp"
-    aside.write_text(json.dumps(asdict(status)), encoding="utf-8")
-    aside.replace(folder / "state.json")
-
-
-def _label(folder: Path) -> str:
-    try:
-        return JobRequest.from_json((folder / "request.json").read_text(encoding="utf-8")).label
-    except EngineError:
-        return ""
-
-
-def _end(folder: Path, status: JobStatus, state: JobState, message: str = "") -> JobStatus:
-    exit_code = 130 if state is JobState.CANCELLED else status.exit_code
-    status = replace(status, state=state, message=message, exit_code=exit_code, ended_s=time.time())
-    write_state(folder, status)
-    _reap(folder)
-    return status
 
 
 def _reap(folder: Path) -> int | None:
@@ -339,36 +339,65 @@ def _reap(folder: Path) -> int | None:
     child = _children.get(folder)
     if child is None or child.poll() is None:
         return None
-    del _children[folder]
+    _children.pop(folder, None)
     return child.returncode
 
 
-def _may_still_start(folder: Path, status: JobStatus) -> bool:
-    if _reap(folder) is not None:
-        return False
-    return status.elapsed_s < STARTUP_GRACE_S
+def _require_videos(request: JobRequest) -> None:
+    for video in request.videos:
+        if not video.is_file():
+            raise ConfigError(f"The video {video.name} is not there any more; add it again.")
+
+
+def _give_back(asked: tuple[Path, ...], own: tuple[Path, ...], folder: Path) -> None:
+    """Put uploads back that a job took over before it could not be queued."""
+    for before, after in zip(asked, own, strict=True):
+        if before != after and after.exists() and folder in after.parents:
+            with contextlib.suppress(OSError):
+                before.parent.mkdir(parents=True, exist_ok=True)
+                shutil.move(after, before)
+
+
+def _read_old_state(folder: Path) -> dict[str, Any]:
+    """Return what an older LiftLens knew of a job, as fields of a status."""
+    try:
+        plain = json.loads((folder / "state.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        plain = {}
+    known = ("stage", "done", "total", "fraction", "message", "exit_code", "trial_id")
+    kept = {name: plain[name] for name in known if name in plain}
+    times = ("submitted_s", "started_s", "ended_s")
+    kept |= {name: plain[name] for name in times if plain.get(name) is not None}
+    state = JobState(plain.get("state", JobState.QUEUED))
+    if (folder / "cancel").exists() and state not in OVER:
+        state = JobState.CANCELLED
+        kept["ended_s"] = time.time()
+    # Nobody holds its lock any more, so what ran waits again.
+    return {**kept, "state": state if state in OVER else JobState.QUEUED}
 
 
 def _age_s(path: Path) -> float:
     return time.time() - path.stat().st_mtime
 
 
-def _kill(pid: int | None) -> None:
-    if pid is not None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+def _is_young(folder: Path) -> bool:
+    try:
+        return _age_s(folder) < KEEP_UPLOADS_S
+    except FileNotFoundError:
+        return True
 
 
-def _obituary(folder: Path) -> str:
+def _obituary(job: JobStatus, log: Path) -> str:
+    often = f" {job.attempts} times" if job.attempts > 1 else ""
     return (
-        "The assessment stopped without a word: its process was ended from outside, or the "
-        f"computer ran out of memory. Start it again; details are in {folder / 'worker.log'}."
+        f"The assessment stopped{often} without a word: its process was ended from outside, or "
+        f"the computer ran out of memory. Start it again; details are in {log}."
     )
 
 
-def _remove(folder: Path) -> None:
+def _remove_folder(folder: Path) -> None:
     # Renamed first, so that nobody sees a job that is half there.
     hidden = hidden_sibling(folder)
-    folder.rename(hidden)
+    with contextlib.suppress(FileNotFoundError):
+        folder.rename(hidden)
     shutil.rmtree(hidden, ignore_errors=True)
-    _reap(folder)

@@ -13,7 +13,10 @@ from engine.config import Config, build_config
 from engine.datatypes import Subject, Task, Trial, View
 from engine.errors import ConfigError
 
-__all__ = ["JobRequest"]
+__all__ = ["REQUEST_VERSION", "JobRequest"]
+
+REQUEST_VERSION = 2
+"""Raised with every field that changes what an assessment gives; 1 had no number yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,7 @@ class JobRequest:
     def as_json(self) -> str:
         """Return the request as text."""
         plain = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        plain["version"] = REQUEST_VERSION
         plain["videos"] = [str(Path(v).resolve()) for v in self.videos]
         plain["subject"] = dataclasses.asdict(self.subject)
         plain["task"] = dataclasses.asdict(self.task)
@@ -64,10 +68,12 @@ class JobRequest:
         Raises
         ------
         ConfigError
-            If the text is no request, or holds values that can't be right.
+            If the text is no request, holds values that can't be right, or was written by a
+            program that knows settings this one would silently leave out.
         """
         try:
             plain = json.loads(text)
+            _check_version(int(plain.pop("version", 1)))
             return cls(
                 videos=tuple(Path(v) for v in plain.pop("videos")),
                 subject=Subject(**plain.pop("subject")),
@@ -80,3 +86,11 @@ class JobRequest:
             raise ConfigError(
                 f"The job's request can't be read ({error}); start the assessment again."
             ) from error
+
+
+def _check_version(version: int) -> None:
+    if version > REQUEST_VERSION:
+        raise ConfigError(
+            f"The job was asked for by a newer LiftLens (version {version} of a request, this "
+            f"program reads up to {REQUEST_VERSION}); update LiftLens, or start it again here."
+        )

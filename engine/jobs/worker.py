@@ -7,26 +7,23 @@ import logging
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from engine.config import Config
 from engine.datatypes import ProgressCallback, Trial
-from engine.errors import Cancelled, EngineError
-from engine.jobs.local import (
-    WORKER_COMMAND,
-    JobQueue,
-    JobState,
-    JobStatus,
-    read_state,
-    write_state,
-)
-from engine.jobs.locks import hold
+from engine.errors import Cancelled, EngineError, OutputError
+from engine.jobs.local import WORKER_COMMAND, JobQueue
 from engine.jobs.request import JobRequest
+from engine.jobs.store import AT_WORK, HOST, JobState, JobStatus, JobStore
 from engine.storage.library import Library
+from engine.storage.locks import hold
+from engine.storage.results import is_result_folder
 
 __all__ = ["Assess", "main"]
 
@@ -36,16 +33,19 @@ Assess = Callable[[Trial, Config, Path, ProgressCallback], Path]
 """Like `engine.pipeline.assess_to_folder`: writes a whole result folder or none."""
 
 REPORT_EVERY_S = 0.2
+HEARTBEAT_S = 15.0
+"""How often a worker says that it lives; other computers have nothing else to go by."""
+END_TRIES = 5
 STAGE_SPANS: dict[str, tuple[float, float]] = {"pose": (0.02, 0.85), "overlay": (0.9, 0.99)}
 """Which part of the whole job a stage usually takes; stages that take no time are not listed."""
 UNEXPECTED_EXIT_CODE = 1
 
 
 class _Reporter:
-    """Writes progress into the job's folder, and stops the job once it is asked to."""
+    """Writes progress into the queue, and stops the job once it is asked to."""
 
-    def __init__(self, folder: Path, status: JobStatus) -> None:
-        self.folder = folder
+    def __init__(self, store: JobStore, status: JobStatus) -> None:
+        self.store = store
         self.status = status
         self._last_s = 0.0
 
@@ -54,22 +54,44 @@ class _Reporter:
         if stage == self.status.stage and now - self._last_s < REPORT_EVERY_S:
             return
         self._last_s = now
-        if (self.folder / "cancel").exists():
+        fraction = max(self.status.fraction, find_fraction(stage, done, total))
+        self.status = replace(self.status, stage=stage, done=done, total=total, fraction=fraction)
+        try:
+            is_mine = self._write(stage=stage, done=done, total=total, fraction=fraction)
+            is_wanted = is_mine and self.store.read(self.status.id).cancel_requested_s is None
+        except OutputError as error:
+            # A database that is busy now must not cost an hour's work.
+            logger.warning("The progress can't be told now: %s", error)
+            return
+        if not is_wanted:
             raise Cancelled("The assessment was cancelled; nothing was kept.")
-        self.status = replace(
-            self.status,
-            stage=stage,
-            done=done,
-            total=total,
-            fraction=max(self.status.fraction, find_fraction(stage, done, total)),
-        )
-        write_state(self.folder, self.status)
 
-    def end(self, state: JobState, *, exit_code: int, message: str = "") -> None:
-        self.status = replace(
-            self.status, state=state, exit_code=exit_code, message=message, ended_s=time.time()
+    def end(self, state: JobState, *, exit_code: int, message: str = "", **more: Any) -> None:
+        """Write down how the job ended; tried several times, since nobody else knows."""
+        ended = {"state": state, "exit_code": exit_code, "message": message, **more}
+        for attempt in range(1, END_TRIES + 1):
+            try:
+                self._write(**ended, ended_s=time.time())
+            except OutputError as error:
+                logger.warning("The end can't be told (try %d): %s", attempt, error)
+                time.sleep(attempt)
+            else:
+                return
+
+    def beat(self, stop: threading.Event) -> None:
+        """Say from time to time that the worker lives, until `stop`."""
+        while not stop.wait(HEARTBEAT_S):
+            with contextlib.suppress(OutputError):
+                self._write()
+
+    def _write(self, **values: Any) -> bool:
+        return self.store.change(
+            self.status.id,
+            expected=(JobState.RUNNING,),
+            owner=self.status.pid,
+            heartbeat_s=time.time(),
+            **values,
         )
-        write_state(self.folder, self.status)
 
 
 def main(
@@ -94,15 +116,35 @@ def main(
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     folder = Path(argv[0]).resolve()
     with hold(folder / "alive.lock"):
-        status = replace(
-            read_state(folder), state=JobState.RUNNING, pid=os.getpid(), started_s=time.time()
-        )
-        reporter = _Reporter(folder, status)
-        write_state(folder, status)
+        library = Library(folder.parent.parent)
+        reporter = _begin(JobStore(library), folder.name)
+        if reporter is None:
+            logger.info("The job %s is over already, or is not there.", folder.name)
+            return 0
         signal.signal(signal.SIGTERM, _stop)
-        exit_code = _run(folder, reporter, assess or _assess)
-    JobQueue(Library(folder.parent.parent), command=command).advance()
+        ended = threading.Event()
+        threading.Thread(target=reporter.beat, args=(ended,), daemon=True).start()
+        try:
+            exit_code = _run(library, folder, reporter, assess or _assess)
+        finally:
+            ended.set()
+    JobQueue(library, command=command).advance()
     return exit_code
+
+
+def _begin(store: JobStore, job_id: str) -> _Reporter | None:
+    """Take the job over; None if there is nothing (more) to do."""
+    now = time.time()
+    is_mine = store.change(
+        job_id,
+        expected=(JobState.QUEUED, *AT_WORK),
+        state=JobState.RUNNING,
+        host=HOST,
+        pid=os.getpid(),
+        started_s=now,
+        heartbeat_s=now,
+    )
+    return _Reporter(store, store.read(job_id)) if is_mine else None
 
 
 def find_fraction(stage: str, done: int, total: int) -> float:
@@ -122,12 +164,11 @@ def _stop(_signal: int, _frame: FrameType | None) -> None:
     raise Cancelled("The assessment was stopped from outside; nothing was kept.")
 
 
-def _run(folder: Path, reporter: _Reporter, assess: Assess) -> int:
+def _run(library: Library, folder: Path, reporter: _Reporter, assess: Assess) -> int:
     try:
-        request = JobRequest.from_json((folder / "request.json").read_text(encoding="utf-8"))
+        request = reporter.store.request(folder.name)
         reporter("start", 0, 0)
-        result = assess(request.trial, request.settings, folder / "result", reporter)
-        trial_id = _publish(result, folder)
+        _finish(library, folder, request, reporter, assess)
     except Cancelled as error:
         reporter.end(JobState.CANCELLED, exit_code=error.exit_code)
         return error.exit_code
@@ -143,15 +184,21 @@ def _run(folder: Path, reporter: _Reporter, assess: Assess) -> int:
         )
         reporter.end(JobState.FAILED, exit_code=UNEXPECTED_EXIT_CODE, message=message)
         return UNEXPECTED_EXIT_CODE
-    reporter.status = replace(reporter.status, trial_id=trial_id, fraction=1.0)
-    reporter.end(JobState.DONE, exit_code=0)
+    reporter.end(JobState.DONE, exit_code=0, trial_id=folder.name, fraction=1.0)
     _drop_uploads(folder, request)
     return 0
 
 
-def _publish(result: Path, folder: Path) -> str:
-    """Move the result into the library as a whole; the trial gets the id of the job."""
-    return Library(folder.parent.parent).adopt(result, folder.name)
+def _finish(
+    library: Library, folder: Path, request: JobRequest, reporter: _Reporter, assess: Assess
+) -> None:
+    """Do what an earlier try has not done yet; the trial gets the id of the job."""
+    if library.has(folder.name):
+        return
+    result = folder / "result"
+    if not is_result_folder(result):
+        result = assess(request.trial, request.settings, result, reporter)
+    library.adopt(result, folder.name)
 
 
 def _drop_uploads(folder: Path, request: JobRequest) -> None:

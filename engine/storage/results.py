@@ -56,6 +56,7 @@ from engine.storage.tables import write_angles_csv, write_angles_mot, write_keyp
 from engine.storage.tracks import read_tracks, write_tracks
 
 __all__ = [
+    "CALIBRATION_NAME",
     "RESULT_FILES",
     "StoredResult",
     "check_target",

@@ -1,11 +1,11 @@
-import dataclasses
+import time
 
 import pytest
 
 from dashboard import cache
 from dashboard.trial_list import matches
 from engine.errors import ConfigError
-from engine.jobs.local import JobRequest, JobState, read_state, write_state
+from engine.jobs.local import JobRequest, JobState
 from engine.storage.library import TrialEntry
 from engine.storage.results import write_result
 from tests.builders import make_trial_result
@@ -124,13 +124,14 @@ def failed_job(library, tmp_path, monkeypatch):
     monkeypatch.setattr("engine.jobs.local.JobQueue.advance", lambda _self: None)
     queue = cache.job_queue()
     job_id = queue.submit(JobRequest(videos=(video,), label="Crate"))
-    status = dataclasses.replace(
-        read_state(queue.root / job_id),
+    queue.store.change(
+        job_id,
+        expected=(JobState.QUEUED,),
         state=JobState.FAILED,
         message="No person was found in clip.mp4; film the whole body.",
         exit_code=3,
+        ended_s=time.time(),
     )
-    write_state(queue.root / job_id, status)
     return job_id
 
 

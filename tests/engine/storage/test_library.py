@@ -15,6 +15,7 @@ import pytest
 
 from engine.datatypes import FlagLevel
 from engine.errors import ConfigError, DataError, OutputError
+from engine.storage import catalogue
 from engine.storage import library as library_module
 from engine.storage.library import Library, default_root
 from engine.storage.results import check_target, read_result, write_result
@@ -72,11 +73,8 @@ class TestEntries:
         assert entry.created.endswith("+00:00")
         assert entry.thumbnail_path is None
 
-    @pytest.mark.parametrize("again", [False, True], ids=["first look", "from the summary"])
-    def test_an_infinite_index_is_infinite(self, library: Library, again: bool) -> None:
+    def test_an_infinite_index_is_infinite(self, library: Library) -> None:
         add(library, lis=(math.inf,))
-        if again:
-            library.entries()
         assert library.entries()[0].li == math.inf
         assert library.entries()[0].li_interval == (math.inf, math.inf)
 
@@ -109,12 +107,12 @@ class TestEntries:
         library.adopt(write_result(make_trial_result(), tmp_path / "r", thumbnail=picture), "a")
         assert library.entries()[0].thumbnail_path == library.folder("a") / "thumbnail.jpg"
 
-    def test_the_second_look_reads_only_the_summary(
+    def test_the_second_look_reads_only_the_database(
         self, library: Library, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         add(library)
         first = library.entries()
-        monkeypatch.setattr(library_module, "read_document", pytest.fail)
+        monkeypatch.setattr(catalogue, "read_folder", pytest.fail)
         assert library.entries() == first
 
     def test_a_changed_result_is_read_anew(self, library: Library) -> None:
@@ -123,21 +121,12 @@ class TestEntries:
         write_result(make_trial_result(lis=(3.0,)), library.folder("a"))
         assert library.entries()[0].li == 3.0
 
-    def test_the_summary_does_not_stop_a_new_result(self, library: Library) -> None:
-        add(library, "a")
-        library.entries()
-        assert check_target(library.folder("a")) == library.folder("a")
-
-    def test_a_library_one_may_only_read_still_lists(
-        self, library: Library, monkeypatch: pytest.MonkeyPatch
+    def test_a_summary_of_an_older_program_does_not_stop_a_new_result(
+        self, library: Library
     ) -> None:
-        add(library)
-
-        def refuse(*_: object, **__: object) -> None:
-            raise PermissionError
-
-        monkeypatch.setattr(Path, "write_text", refuse)
-        assert library.entries()[0].status == "done"
+        add(library, "a")
+        (library.folder("a") / "summary.json").write_text("{}")
+        assert check_target(library.folder("a")) == library.folder("a")
 
     @pytest.mark.parametrize(
         "content", ["", "{}", "[1]", '{"schema_version": 1}', '{"schema_version": 99}', None]
@@ -168,12 +157,6 @@ class TestEntries:
         document[key] = value
         path.write_text(json.dumps(document))
         assert [entry.id for entry in library.entries()] == ["a"]
-
-    def test_a_damaged_summary_is_made_anew(self, library: Library) -> None:
-        add(library, "a")
-        library.entries()
-        (library.folder("a") / "summary.json").write_text('{"source"')
-        assert library.entries()[0].li == 1.4
 
     def test_a_lost_curve_file_is_damage(self, library: Library) -> None:
         add(library, "a")
