@@ -454,6 +454,41 @@ def validate(
     run_validate(request, say=typer.echo, warn=lambda line: typer.echo(line, err=True))
 
 
+@app.command(short_help="Write a trial or a job as a PDF.")
+@_one_sentence
+def report(
+    result_dirs: Annotated[
+        list[Path], typer.Argument(metavar="RESULT_DIR...", help="One or more result folders.")
+    ],
+    out: Annotated[Path, typer.Option(help="The PDF to write.")],
+    before: Annotated[
+        list[Path] | None,
+        typer.Option(help="Result from before a change of the work, to compare with; repeatable."),
+    ] = None,
+    paper: Annotated[str, typer.Option(help="a4 or letter.")] = "a4",
+    language: Annotated[str, typer.Option(help="Language of the labels: en.")] = "en",
+    title: Annotated[str, typer.Option(help="In the place of the trial's or job's name.")] = "",
+    anonymous: Annotated[
+        bool, typer.Option("--anonymous", help="Leave out pseudonyms, names and pictures.")
+    ] = False,
+    file_names: Annotated[bool, typer.Option("--file-names", help="Name the video files.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Write a PDF: one page for one result, a summary for several of a job or department."""
+    from engine.cli_report import ReportRequest, run_report
+    from engine.report import ReportOptions
+
+    options = ReportOptions(
+        paper=paper,
+        language=language,
+        title=title,
+        is_anonymous=anonymous,
+        with_file_names=file_names,
+    )
+    request = ReportRequest(tuple(result_dirs), out, tuple(before or ()), options)
+    run_report(request, say=typer.echo)
+
+
 @app.command()
 @_one_sentence
 def serve(

@@ -416,6 +416,8 @@ class TestProcess:
             (("assess",), 2, "VIDEO"),
             (("export", ".", "--format", "csv"), 3, "no LiftLens result"),
             (("export", ".", "--format", "bvh"), 2, "not available yet"),
+            (("report", ".", "--out", "r.pdf"), 3, "no LiftLens result"),
+            (("report", ".", "--out", "r.pdf", "--paper", "a5"), 2, "a5"),
         ],
     )
     def test_exit_code_and_last_line(
