@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.datatypes import Array
+from engine.report.fonts import text_width
 from engine.report.layout import INK, QUIET, SOFT
 from engine.report.levels import LEFT, RIGHT, TICK, write_line
 from engine.report.picture import Photo
@@ -92,10 +93,11 @@ class StickFigure:
             )
             self._draw_bones(sheet, place)
             self._draw_head(sheet, place, scale)
-            for i, (side, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
-                y = top - 12 - 9 * i
-                sheet.polyline([(x + 8, y + 2), (x + 20, y + 2)], stroke=colour, line=2.2)
-                write_line(sheet, x + 24, y, self.words[side], TICK)
+            at = x + 14
+            for side, colour in (("left", LEFT), ("right", RIGHT)):
+                sheet.polyline([(at, bottom + 6.5), (at + 12, bottom + 6.5)], stroke=colour, line=2)
+                write_line(sheet, at + 16, bottom + 4.5, self.words[side], TICK)
+                at += 24 + text_width(self.words[side], TICK.font, TICK.size)
 
     def _fit(self, x: float, bottom: float, width: float) -> tuple[Array, float]:
         seen = self.points[np.isfinite(self.points).all(axis=1)]

@@ -345,7 +345,8 @@ def _read_methods(risk: Mapping[str, RiskResult], flags: Sequence[Flag]) -> list
 
 
 def _same(a: float, b: float) -> bool:
-    return a == b or (math.isnan(a) and math.isnan(b))
+    # The same factors in another order differ in the last bit.
+    return math.isclose(a, b, rel_tol=1e-9) or (math.isnan(a) and math.isnan(b))
 
 
 def _read_method(name: str, result: RiskResult, flags: Sequence[Flag]) -> MethodFacts:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from engine.datatypes import FlagLevel
-from engine.report.facts import URGENCY, TrialFacts, typeset
+from engine.report.facts import URGENCY, TrialFacts, choose_index_digits, typeset
 from engine.report.figures import TrendChart, TrendPoint
 from engine.report.job_facts import GroupFacts, JobFacts, compare_highest, find_differences
 from engine.report.layout import (
@@ -74,7 +74,8 @@ def _highest_part(group: GroupFacts, words: Words) -> Stack:
     if group.worst:
         lift = group.worst[0].lift
         value = describe_index(lift.lifting_index, words)
-        under = words["range"].format(range=words.interval(lift.interval, 1))
+        digits = choose_index_digits(lift.lifting_index)
+        under = words["range"].format(range=words.interval(lift.interval, digits))
         if math.isinf(lift.lifting_index):
             under = words["index_infinite"]
     return Stack(
@@ -152,7 +153,8 @@ def describe_interval_of(value: float, interval: tuple[float, float], words: Wor
         return words["not_judged"]
     if math.isinf(value) or math.isnan(interval[0]):
         return words.number(value, 1)
-    return f"{describe_index(value, words)} ({words.interval(interval, 1)})"
+    shown = words.interval(interval, choose_index_digits(value))
+    return f"{describe_index(value, words)} ({shown})"
 
 
 def worst_lifts_part(
