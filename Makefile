@@ -20,7 +20,7 @@ BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
 DEFINITION := pyproject.toml requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test lint format chromium lock clean
+.PHONY: help demo serve test lint format chromium postgres lock clean
 
 help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
@@ -31,7 +31,7 @@ demo: .venv/.installed
 serve: .venv/.installed
 	$(BIN)/python -m engine.cli_start serve $(ARGS)
 
-test: .venv/.installed-dev chromium
+test: .venv/.installed-dev chromium postgres
 	$(BIN)/python -m pytest $(ARGS)
 
 lint: .venv/.installed-dev
@@ -56,6 +56,21 @@ chromium:
 	else \
 		echo "No Chromium found, and only root can install one here: the browser tests are" \
 			"skipped. Install Chromium or Chrome to run them." >&2; \
+	fi
+
+# The library's tests run on PostgreSQL too, on a server of their own in a temporary folder.
+postgres:
+	@for program in initdb /usr/lib/postgresql/*/bin/initdb; do \
+		if command -v "$$program" >/dev/null; then exit 0; fi; \
+	done; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		echo "Installing PostgreSQL for the library's tests."; \
+		{ apt-get update -q && DEBIAN_FRONTEND=noninteractive \
+			apt-get install -q -y --no-install-recommends postgresql; } || \
+		echo "PostgreSQL could not be installed; its tests will say so." >&2; \
+	else \
+		echo "No PostgreSQL server found, and only root can install one here: its tests are" \
+			"skipped. Install PostgreSQL to run them." >&2; \
 	fi
 
 lock: .venv/.made
