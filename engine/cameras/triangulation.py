@@ -59,11 +59,11 @@ LARGEST_SIGMA_M = 0.35
 """Beyond this a joint counts as missing: it could be anywhere on the body."""
 
 DEFINITION_SHARE: Mapping[str, float] = {
-    "hip": 0.020,
+    "hip": 0.018,
     "shoulder": 0.014,
     "elbow": 0.008,
     "wrist": 0.006,
-    "knee": 0.010,
+    "knee": 0.009,
     "ankle": 0.008,
 }
 """How far the point an estimator means lies from the joint's centre, as a share of stature
