@@ -6,6 +6,7 @@ import hashlib
 import io
 import re
 import shutil
+import tempfile
 import tomllib
 import zipfile
 from dataclasses import dataclass
@@ -14,13 +15,15 @@ from typing import IO, Any
 
 import streamlit as st
 
-from engine.datatypes import JointAngles, ViewInfo
+from engine.cameras.files.own import format_calibration
+from engine.cameras.files.reading import read_calibration
+from engine.datatypes import Calibration, JointAngles, ViewInfo
 from engine.errors import DataError, EngineError
 from engine.jobs.local import JobQueue
 from engine.kinematics.fitting import geometric
 from engine.storage.atomic import write_aside
 from engine.storage.library import Library
-from engine.storage.results import RESULT_FILES, StoredResult, read_result
+from engine.storage.results import CALIBRATION_NAME, RESULT_FILES, StoredResult, read_result
 from engine.validate import compare_results
 from engine.validation.outcome import render_outcome
 from engine.validation.pooled import Agreement
@@ -151,6 +154,38 @@ def calibrations() -> dict[str, str]:
     """Return the kept calibrations: path and name, in order of names."""
     folder = library().root / CALIBRATION_FOLDER
     return {str(path): path.stem for path in sorted(folder.glob("*.toml"))}
+
+
+def calibration_text(stored: StoredResult) -> str:
+    """Return the cameras of a trial as a file's text; empty with one view."""
+    path = stored.folder / CALIBRATION_NAME
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+
+def read_kept_calibration(path: str) -> Calibration:
+    """Return a kept calibration.
+
+    Raises
+    ------
+    CalibrationError
+        If it is damaged.
+    """
+    return read_calibration(Path(path))
+
+
+def import_calibration(source: IO[bytes], name: str) -> tuple[Calibration, str]:
+    """Return the cameras of any program's file, and the text to keep them by.
+
+    Raises
+    ------
+    CalibrationError
+        If it is none.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / sanitise_name(name)
+        path.write_bytes(source.read())
+        calibration = read_calibration(path)
+    return calibration, format_calibration(calibration)
 
 
 def keep_calibration(name: str, text: str) -> None:

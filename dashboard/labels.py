@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from engine.datatypes import Coupling, FlagLevel, Measurement, Provenance, RiskInput
+from engine.datatypes import CheckLevel, Coupling, FlagLevel, Measurement, Provenance, RiskInput
 from engine.errors import ConfigError
 from engine.jobs.local import JobState
 from engine.kinematics.angles import describe_angle
@@ -37,6 +37,30 @@ LEVELS: dict[FlagLevel, LevelLabel] = {
     FlagLevel.OK: LevelLabel("No concern", "This check found nothing to act on.", "ok"),
 }
 NOT_JUDGED = LevelLabel("Not judged", "There is not enough to judge this.", "none")
+
+CHECK_LEVELS: dict[CheckLevel, LevelLabel] = {
+    CheckLevel.GREEN: LevelLabel("Trusted", "The cameras agree with the world.", "ok"),
+    CheckLevel.AMBER: LevelLabel("With care", "Something about the cameras is doubtful.", "review"),
+    CheckLevel.RED: LevelLabel("Not trusted", "These cameras can't be right.", "high"),
+}
+SOURCES: dict[str, str] = {
+    "person": "from the moving person",
+    "board": "with a printed board",
+    "points": "from points of known size",
+    "file": "taken from a file",
+}
+SYNC_METHODS: dict[str, str] = {
+    "motion": "by the movement",
+    "audio": "by the sound",
+    "both": "by movement and sound",
+    "user": "entered by you",
+}
+CAMERA_ADVICE = (
+    "Two phones measure distances, twisting and the far arm much better than one. Usually nothing "
+    "needs to be calibrated: LiftLens finds both cameras from the moving person and says how sure "
+    "it is. Where cameras stay in place, or every centimetre counts, calibrate them once with a "
+    "printed board (`liftlens calibrate`) and keep the file here."
+)
 
 COUPLINGS: dict[Coupling, str] = {
     Coupling.GOOD: "Good: handles or cut-outs that the whole hand fits into",
@@ -151,6 +175,13 @@ INPUTS: dict[str, str] = {
 }
 
 HELP: dict[str, str] = {
+    "keep_calibration": (
+        "For later films with both phones left exactly where they are, at the same zoom."
+    ),
+    "calibration_file": (
+        "Cameras calibrated by LiftLens, Pose2Sim, anipose, Qualisys or OpenCap; it is read on "
+        "this computer only."
+    ),
     "video": "One person who lifts, filmed from the side; a few seconds to a few minutes.",
     "two_cameras": (
         "A second phone, 70 to 110 degrees round the person from the first, makes distances, "

@@ -10,6 +10,8 @@ NEW_ASSESSMENT = "views/new_assessment.py"
 TRIAL = "views/trial.py"
 REFERENCE = "views/reference.py"
 RISK = "views/risk.py"
+IMPROVE = "views/improve.py"
+CAMERAS = "views/cameras.py"
 
 
 def build() -> list[Page]:
@@ -18,8 +20,10 @@ def build() -> list[Page]:
         st.Page(TRIALS, title="Trials", icon=":material/list:", url_path="trials", default=True),
         st.Page(NEW_ASSESSMENT, title="New assessment", icon=":material/add:", url_path="new"),
         st.Page(RISK, title="Risk", icon=":material/accessibility_new:", url_path="risk"),
+        st.Page(IMPROVE, title="Improve", icon=":material/trending_down:", url_path="improve"),
         st.Page(
             REFERENCE, title="Reference", icon=":material/compare_arrows:", url_path="reference"
         ),
+        st.Page(CAMERAS, title="Cameras", icon=":material/videocam:", url_path="cameras"),
         st.Page(TRIAL, title="Trial", url_path="trial", visibility="hidden"),
     ]

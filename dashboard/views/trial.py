@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from dashboard import cache, pages, state, trial_parts
+from dashboard import cache, camera_parts, pages, state, trial_parts
 
 if st.button("All trials", icon=":material/arrow_back:", type="tertiary"):
     st.switch_page(pages.TRIALS)
@@ -37,6 +37,8 @@ with confidence:
     trial_parts.show_confidence(result)
 with provenance:
     trial_parts.show_provenance(result)
+
+camera_parts.show_two_views(result)
 
 st.subheader("Take it with you", anchor=False)
 trial_parts.show_downloads(result)
