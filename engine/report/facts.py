@@ -75,6 +75,7 @@ class MethodFacts:
 class ChangeFacts:
     """One thing to change, with what it would do by the first of the methods that ask for it.
 
+    Without methods it was tried out on the measured lift (`engine.report.ranking`).
     `lift_number` (from 1) says for which lift, None for the whole trial.
     """
 

@@ -1,12 +1,11 @@
-"""What a summary of several trials states: counts, worst lifts, frequent changes, comparison."""
+"""What a summary of several trials states: counts, worst lifts, frequent changes."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from statistics import median
 
 from engine.datatypes import FlagLevel
 from engine.report.facts import URGENCY, LiftFacts, TrialFacts, fingerprint
@@ -15,8 +14,6 @@ __all__ = [
     "GroupFacts",
     "JobFacts",
     "WorstLift",
-    "compare_highest",
-    "find_differences",
     "list_jobs",
     "summarise_trials",
 ]
@@ -66,15 +63,6 @@ class GroupFacts:
     def n_high_lifts(self) -> int:
         """Number of lifts at high risk."""
         return dict(self.lift_levels)[FlagLevel.HIGH]
-
-    @property
-    def median_index(self) -> float:
-        """Median of the trials' lifting indices; NaN without one, perhaps infinite."""
-        known = [trial.index for trial in self.trials if not math.isnan(trial.index)]
-        if any(map(math.isinf, known)):
-            # The mean of the two middle values would be NaN or hide the infinite one.
-            return sorted(known)[len(known) // 2]
-        return median(known) if known else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,44 +120,3 @@ def _count_changes(trials: Sequence[TrialFacts]) -> tuple[tuple[str, int], ...]:
     for trial in trials:
         counts.update(dict.fromkeys((change.action for change in trial.changes), 1))
     return tuple(counts.most_common())
-
-
-# --------------------------------------------------------------------------- before and after
-
-
-def compare_highest(before: GroupFacts, after: GroupFacts) -> str:
-    """Say whether the highest lifting index changed by more than the ranges of both.
-
-    Returns
-    -------
-    str
-        A key of the wording: `fell`, `rose`, `no_difference` or `no_comparison`.
-    """
-    if not before.worst or not after.worst:
-        return "no_comparison"
-    (low_1, high_1), (low_2, high_2) = (g.worst[0].lift.interval for g in (before, after))
-    if any(map(math.isnan, (low_1, high_1, low_2, high_2))):
-        return "no_comparison"
-    if high_2 < low_1:
-        return "fell"
-    return "rose" if low_2 > high_1 else "no_difference"
-
-
-def find_differences(before: GroupFacts, after: GroupFacts) -> tuple[str, ...]:
-    """Return what else differs between the groups, as keys of the wording."""
-
-    def settings(trial: TrialFacts) -> str:
-        document = trial.stored.document
-        return fingerprint([document.get(key) for key in ("backend", "solver", "config")])
-
-    looks: Mapping[str, Callable[[TrialFacts], Hashable]] = {
-        "of_persons": lambda trial: trial.person,
-        "of_load": lambda trial: trial.stored.task.load_kg,
-        "of_methods": lambda trial: tuple(sorted(trial.stored.risk)),
-        "of_settings": settings,
-    }
-    return tuple(
-        key
-        for key, look in looks.items()
-        if {look(t) for t in before.trials} != {look(t) for t in after.trials}
-    )

@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 
 from engine.datatypes import FlagLevel
+from engine.ergonomics.before_after import BeforeAfter, MeasureChange
 from engine.report.facts import URGENCY, TrialFacts, choose_index_digits, typeset
 from engine.report.figures import TrendChart, TrendPoint
-from engine.report.job_facts import GroupFacts, JobFacts, compare_highest, find_differences
+from engine.report.job_facts import GroupFacts, JobFacts
 from engine.report.layout import (
     BODY,
     SMALL,
@@ -31,6 +32,7 @@ from engine.report.parts import (
     describe_index,
     more_line,
     section,
+    sentence,
 )
 from engine.report.wording import Words
 
@@ -201,34 +203,62 @@ def frequent_changes_part(group: GroupFacts, words: Words, *, shown: int) -> Sta
     return section(words["common_changes"], *rows, *more, gap=3.0)
 
 
-def comparison_part(before: GroupFacts, after: GroupFacts, words: Words) -> Stack:
-    """Put before beside after, with what may be said about the difference."""
+def comparison_part(
+    before: GroupFacts, after: GroupFacts, outcome: BeforeAfter, words: Words, *, shown: int
+) -> Stack:
+    """Put before beside after, with the differences and what may be said of them."""
+    blank = (words["not_compared"], words["not_compared"])
     both = (before, after)
-    values = (
-        ("trials_title", [str(len(group.trials)) for group in both]),
-        ("lifts_title", [str(group.n_lifts) for group in both]),
-        ("share_high", [_share_high(group, words) for group in both]),
-        ("median_index", [_median_text(group, words) for group in both]),
-        ("worst_index", [_highest_text(group, words) for group in both]),
-    )
+    lines = [
+        (words["trials_title"], *(str(len(group.trials)) for group in both), *blank),
+        (words["lifts_title"], *(str(group.n_lifts) for group in both), *blank),
+        (words["share_high"], *(_share_high(group, words) for group in both), *blank),
+        *(_describe_change(change, words) for change in outcome.changes[:shown]),
+    ]
     rows = tuple(
         TableRow(
             (
-                Paragraph.of(words[key], SMALL.bold, role=""),
+                Paragraph.of(name, SMALL.bold, role="", max_lines=2),
                 *(Paragraph.of(cell, SMALL, role="") for cell in cells),
             )
         )
-        for key, cells in values
+        for name, *cells in lines
     )
-    head = (words["measure"], words["before"], words["after"])
-    sentences = [words[compare_highest(before, after)]]
-    if different := find_differences(before, after):
-        what = ", ".join(words[key] for key in different)
-        sentences.append(words["also_changed"].format(what=what))
-    said = Paragraph.of(" ".join(sentences), BODY, max_lines=3)
-    return section(words["comparison"], Table(head, rows, (1.1, 1.0, 1.0)), said, gap=4.0)
+    keys = ("measure", "before", "after", "difference", "outcome")
+    table = Table(tuple(words[key] for key in keys), rows, (1.0, -66.0, -66.0, -110.0, -86.0))
+    said: list[Block] = [Paragraph.of(sentence(typeset(outcome.sentence)), BODY, max_lines=3)]
+    if outcome.reasons:
+        reasons = " ".join(_join_reasons(outcome.reasons, words))
+        said.append(Paragraph.of(reasons, SMALL.quiet, max_lines=4))
+    more = more_line(len(outcome.changes) - shown, words)
+    return section(words["comparison"], *said, table, *more, gap=3.0)
 
 
-def _median_text(group: GroupFacts, words: Words) -> str:
-    value = group.median_index
-    return words["not_judged"] if math.isnan(value) else describe_index(value, words)
+NOT_KNOWN = " is not known of all trials, and not compared"
+"""How a comparison says so of one measure; of several it is said once."""
+
+
+def _join_reasons(reasons: Sequence[str], words: Words) -> list[str]:
+    unknown = [r.removesuffix(NOT_KNOWN) for r in reasons if r.endswith(NOT_KNOWN)]
+    others = [sentence(typeset(reason)) for reason in reasons if not reason.endswith(NOT_KNOWN)]
+    if unknown:
+        others.append(words["unknown_measures"].format(names=", ".join(unknown)))
+    return others
+
+
+def _describe_change(change: MeasureChange, words: Words) -> tuple[str, ...]:
+    """Return measure, before, after, difference and outcome in words."""
+    measure, (low, high) = change.measure, change.interval
+    digits, unit = measure.decimals, "°" if measure.unit == "deg" else measure.unit
+    difference = words.number(change.difference, digits)
+    if not math.isnan(low):
+        difference = words["difference_of"].format(
+            difference=difference, low=words.number(low, digits), high=words.number(high, digits)
+        )
+    return (
+        measure.name[:1].upper() + measure.name[1:],
+        words.quantity(change.before, unit, digits),
+        words.quantity(change.after, unit, digits),
+        difference,
+        words[change.verdict.value],
+    )

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+from engine.ergonomics.before_after import BeforeAfter
 from engine.errors import ConfigError
 from engine.report.facts import TrialFacts, fingerprint, read_facts
 from engine.report.fonts import REPLACEMENT, clean_text
@@ -37,6 +38,7 @@ GAP = 11.0
 MAX_WORST = 5
 MAX_CHANGES = 5
 MAX_JOBS = 8
+MAX_MEASURES = 8
 
 
 def render_job_report(
@@ -73,18 +75,40 @@ def render_job_report(
     return sheet.to_bytes()
 
 
+def _compare(before: GroupFacts, after: GroupFacts) -> BeforeAfter:
+    # It loads signal processing, which takes longer than a summary without comparison.
+    from engine.improve import compare_results
+
+    return compare_results(
+        [trial.stored for trial in before.trials], [trial.stored for trial in after.trials]
+    )
+
+
 @dataclass(frozen=True)
 class _Plan:
     """How much of each list the first page shows."""
 
     jobs: int = MAX_JOBS
+    measures: int = MAX_MEASURES
     worst: int = MAX_WORST
     changes: int = MAX_CHANGES
     chart_pt: float = 105.0
 
 
-SHRINK = (("chart_pt", 80, 5), ("jobs", 4, 1), ("changes", 3, 1), ("worst", 3, 1), ("jobs", 2, 1),
-          ("changes", 1, 1), ("worst", 1, 1), ("chart_pt", 60, 5))  # fmt: skip
+SHRINK = (
+    ("measures", 5, 1),
+    ("chart_pt", 80, 5),
+    ("jobs", 4, 1),
+    ("changes", 3, 1),
+    ("worst", 3, 1),
+    ("measures", 3, 1),
+    ("jobs", 2, 1),
+    ("changes", 1, 1),
+    ("worst", 1, 1),
+    ("chart_pt", 60, 5),
+    ("measures", 1, 1),
+)
+"""What gives way, in this order: the list or height, down to what, in which steps."""
 
 
 class _JobReport:
@@ -95,6 +119,7 @@ class _JobReport:
     ) -> None:
         self._group = group
         self._earlier = earlier
+        self._outcome = _compare(earlier, group) if earlier is not None else None
         self._words = words
         self._options = options
 
@@ -166,7 +191,12 @@ class _JobReport:
             Columns((shares_part(group, words), trend), (0.75, 1.0)),
         ]
         if self._earlier is not None:
-            rows.append(comparison_part(self._earlier, group, words))
+            assert self._outcome is not None  # compared where there is something earlier
+            rows.append(
+                comparison_part(
+                    self._earlier, group, self._outcome, words, shown=int(plan.measures)
+                )
+            )
         jobs = list_jobs(group)
         if len(jobs) > 1:
             rows.append(jobs_part(jobs, words, shown=int(plan.jobs)))

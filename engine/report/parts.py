@@ -56,6 +56,7 @@ __all__ = [
     "more_line",
     "provenance_line",
     "section",
+    "sentence",
     "verdict_part",
 ]
 
@@ -211,15 +212,16 @@ def changes_part(
         return section(words["changes"], Paragraph.of(words["no_changes"], BODY.quiet))
     rows: list[Block] = []
     for number, change in enumerate(changes[:shown], start=1):
-        runs: tuple[tuple[str, Style], ...] = (
-            (typeset(change.text), BODY),
-            (f"({_name_askers(change, words)})", SMALL.quiet),
-        )
+        runs: tuple[tuple[str, Style], ...] = ((typeset(change.text), BODY),)
+        if change.methods:
+            runs += ((f"({_name_askers(change, words)})", SMALL.quiet),)
         if n_lifts > 1 and change.lift_number is not None:
             lift = words["lift_n"].format(n=change.lift_number)
             runs = ((f"{lift}:", BODY.bold), *runs)
         mark = Paragraph.of(f"{number}.", BODY.bold)
         rows.append(Columns((mark, Paragraph(runs, max_lines=max_lines)), (-10.0, 1.0), gap=3.0))
+    if any(not change.methods for change in changes[:shown]):
+        rows.append(Paragraph.of(words["tried"], SMALL.quiet, max_lines=2))
     return section(words["changes"], *rows, *more_line(len(changes) - shown, words), gap=4.0)
 
 

@@ -32,6 +32,7 @@ from engine.report.parts import (
     verdict_part,
 )
 from engine.report.picture import NoPicture, Photo, take_photo
+from engine.report.ranking import list_best_changes
 from engine.report.sheet import Properties, Sheet
 from engine.report.wording import Words, select_words
 from engine.storage.results import StoredResult
@@ -77,7 +78,7 @@ class _Plan:
 
     flags: int
     methods: int
-    changes: int = 3
+    changes: int = 4
     warnings: int = 4
     notes: int = 4
     why_lines: int = 2
@@ -96,6 +97,7 @@ SHRINK: tuple[tuple[str, float, float], ...] = (
     ("flags", 2, 1),
     ("warnings", 1, 1),
     ("chart_pt", 52, 4),
+    ("changes", 3, 1),
     ("methods", 8, 1),
     ("picture_pt", 119, 7),
     ("methods", 5, 1),
@@ -123,6 +125,7 @@ class _TrialPage:
         self._words = words
         self._options = options
         self._photo = self._take_photo()
+        self._changes = list_best_changes(facts)
         self._notes = tuple(self._list_notes())
 
     # ----------------------------------------------------------------------- the whole
@@ -201,7 +204,7 @@ class _TrialPage:
                     Stack(
                         (
                             changes_part(
-                                facts.changes,
+                                self._changes,
                                 words,
                                 shown=int(plan.changes),
                                 n_lifts=len(facts.lifts),

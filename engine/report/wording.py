@@ -173,6 +173,9 @@ ENGLISH = Words(
         "not_judged": "not judged",
         "index_refused": "the equation can't be used here",
         "index_absent": "the equation was not part of it",
+        "tried": (
+            "LI: lifting index; compression: of the lowest disc. Tried out on the measured lift."
+        ),
         "also": "{first}; also {others}",
         # sections
         "picture": "The worst moment",
@@ -286,26 +289,20 @@ ENGLISH = Words(
         "before": "Before",
         "after": "After",
         "measure": "Measure",
-        "median_index": "Lifting index, median of the trials",
         "worst_index": "Highest lifting index",
         "share_high": "Lifts at high risk",
         "share_of": "{n} of {total} ({share})",
-        "fell": "The highest lifting index fell, and the ranges do not overlap.",
-        "rose": "The highest lifting index rose, and the ranges do not overlap.",
-        "no_difference": (
-            "The ranges of the highest lifting index overlap: these videos show no difference."
-        ),
-        "no_comparison": (
-            "The highest lifting index can't be compared: both groups need one with a known range."
-        ),
-        "also_changed": "Not the same in both groups: {what}. A difference may come from that.",
-        "of_persons": "persons",
-        "of_load": "load",
-        "of_methods": "methods",
-        "of_settings": "settings of the assessment",
-        "verdict_high": "Trials that call for a change before the work goes on: {n} of {total}.",
-        "verdict_review": "No trial is at high risk; to be looked at: {n} of {total}.",
-        "verdict_ok": "Nothing to act on was found; trials judged: {n} of {total}.",
+        "difference": "Difference (95 % range)",
+        "outcome": "Outcome",
+        "difference_of": "{difference} ({low} to {high})",
+        "improved": "improved",
+        "not distinguishable": "not distinguishable",
+        "worse": "worse",
+        "not_compared": "–",
+        "unknown_measures": "Not known of all trials, so not compared: {names}.",
+        "verdict_high": "Change before the work goes on: {n} of {total} trials.",
+        "verdict_review": "None at high risk; to be looked at: {n} of {total} trials.",
+        "verdict_ok": "Nothing to act on was found: {n} of {total} trials.",
         "verdict_none": "Nothing could be judged; trials: {total}.",
         "not_judged_trials": "Trials that could not be judged: {n} of {total}.",
         "person_noun": "person",

@@ -48,7 +48,7 @@ def test_before_makes_a_comparison(folders, tmp_path):
     run(folders[0], out=out, before=(folders[1],))
     text = " ".join(PdfReader(out).pages[0].extract_text().split())
     assert "Before and after" in text
-    assert "Highest lifting index 2.2 (1.8 to 2.9) 0.8 (0.6 to 1.0)" in text
+    assert "Lifting index 2.2 0.8 −1.4" in text
 
 
 def test_an_earlier_report_is_replaced_and_anything_else_kept(folders, tmp_path):

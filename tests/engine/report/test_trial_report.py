@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from engine.datatypes import FlagLevel, Measurement, Task
+from engine.ergonomics.improvements import rank_changes
 from engine.errors import ConfigError
-from engine.report import ReportOptions, render_trial_report
-from engine.report.facts import read_facts
+from engine.improve import read_exposure
+from engine.report import ReportOptions, render_trial_report, trial_report
+from engine.report.facts import read_facts, typeset
 from engine.report.sheet import PAPERS
 from tests.builders import make_end, make_flag, make_lift, make_pose_track, make_trial_result
 from tests.engine.report.results import (
@@ -32,6 +34,18 @@ from tests.engine.report.results import (
 LONG = "An endlessly long explanation that goes on about the lift and never comes to a point; " * 6
 
 
+@pytest.fixture(autouse=True)
+def no_ranking(monkeypatch, request):
+    """Leave out the trying of changes, which has tests of its own, unless a test is about it."""
+    if "ranked_page" not in request.fixturenames:
+        monkeypatch.setattr(trial_report, "list_best_changes", lambda facts: facts.changes)
+
+
+@pytest.fixture(scope="module")
+def ranked_page(stored):
+    return render_trial_report(stored)
+
+
 @pytest.fixture(scope="module")
 def assessed():
     return make_assessed()
@@ -44,7 +58,9 @@ def stored(assessed, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(stored):
-    return render_trial_report(stored)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trial_report, "list_best_changes", lambda facts: facts.changes)
+        return render_trial_report(stored)
 
 
 # --------------------------------------------------------------------------- what it shows
@@ -130,6 +146,14 @@ def test_nothing_touches_and_nothing_leaves_the_margins(stored, monkeypatch):
         assert len(written) > 100
         assert not find_overlaps(written)
         assert not find_outside(written, size, 36.0)
+
+
+def test_what_to_change_begins_with_what_helps_most(stored, ranked_page):
+    ranking = rank_changes(read_exposure(stored))
+    text = read_text(ranked_page)
+    best = " ".join(typeset(ranking.singles[0].sentence).split())
+    assert f"What to change 1. Lift {ranking.lift_index + 1}: {best}" in text
+    assert "Bring the work higher and closer, so that the trunk stays upright" in text
 
 
 def test_coverage_adds_up_to_the_stored_shares(page):
