@@ -51,8 +51,6 @@ def groups_of(skeleton: Skeleton) -> tuple[tuple[tuple[int, int], ...], ...]:
 
 def exchange(sight: Sight, is_exchanged: NDArray[np.bool_]) -> Sight:
     """Exchange left and right where `is_exchanged` (V, T, K) says so."""
-    if not is_exchanged.any():
-        return sight
     order = list(sight.skeleton.mirror_order)
     wide = is_exchanged[..., None]
     return replace(
@@ -86,32 +84,37 @@ def find_labels(sight: Sight, sigma: Array, triangulator: Triangulator) -> NDArr
         Shape (2, T, K): to be exchanged with the other side.
     """
     names = sight.skeleton.keypoints
+    groups = groups_of(sight.skeleton)
+    plain = [[p for p in group if names[p[0]].endswith(PLAIN)] for group in groups]
+    pairs = [pair for group in plain for pair in group]
     found = np.zeros(sight.confidence.shape, dtype=bool)
-    for group in groups_of(sight.skeleton):
-        plain = [p for p in group if names[p[0]].endswith(PLAIN)]
-        if not plain:
+    if not pairs:
+        return found
+    costs, joints = _weigh(sight, sigma, triangulator, pairs)
+    last = np.cumsum([len(group) for group in plain])
+    for group, start, stop in zip(groups, [0, *last[:-1]], last, strict=True):
+        if start == stop:
             continue
-        columns = [k for pair in plain for k in pair]
-        mirrored = [k for pair in plain for k in pair[::-1]]
-        states = _weigh(sight, sigma, triangulator, columns, mirrored)
-        path = _best_path(*states)
-        everything = [k for pair in group for k in pair]
+        count = EXCHANGED_COST * np.array([0.0, 1.0, 1.0, 2.0])
+        cost = costs[:, :, start:stop].sum(axis=2) + count[:, None]
+        path = _best_path(cost, joints[:, :, 2 * start : 2 * stop])
+        everything = np.array([k for pair in group for k in pair])
         for v in (0, 1):
-            is_on = (path >> v & 1).astype(bool)
-            found[v][np.ix_(np.flatnonzero(is_on), np.array(everything))] = True
+            found[v][np.ix_(np.flatnonzero(path >> v & 1), everything)] = True
     return found
 
 
 def _weigh(
-    sight: Sight,
-    sigma: Array,
-    triangulator: Triangulator,
-    columns: list[int],
-    mirrored: list[int],
+    sight: Sight, sigma: Array, triangulator: Triangulator, pairs: list[tuple[int, int]]
 ) -> tuple[Array, Array]:
-    """Return cost (4, T) and joints (4, T, J, 3) of the labellings; bit v: view v exchanged."""
+    """Return cost (4, T, P) and joints (4, T, 2P, 3) of the labellings of pairs.
+
+    Bit v of a labelling's number: view v exchanged.
+    """
     # Exchanging both views mirrors the joints and exchanging the other view mirrors those of
     # the one, so two triangulations serve four labellings.
+    columns = [k for pair in pairs for k in pair]
+    mirrored = [k for pair in pairs for k in pair[::-1]]
     kept = triangulator(sight.flat[:, :, columns], sigma[:, :, columns])
     turned = triangulator(
         np.stack([sight.flat[0][:, mirrored], sight.flat[1][:, columns]]),
@@ -122,19 +125,18 @@ def _weigh(
     told = [body[:, columns[1::2]] - body[:, columns[0::2]] for body in sight.body]
     cost_kept = _disagree(kept, (told[0], told[1]))
     cost_turned = _disagree(turned, (-told[0], told[1]))
-    count = EXCHANGED_COST * np.array([0.0, 1.0, 1.0, 2.0])
-    cost = np.stack([cost_kept, cost_turned, cost_turned, cost_kept]) + count[:, None]
-    return cost, joints
+    return np.stack([cost_kept, cost_turned, cost_turned, cost_kept]), joints
 
 
 def _disagree(found: tuple[Array, Array], told: tuple[Array, Array]) -> Array:
-    """Return how badly lines of sight and landmarks go together in each frame, shape (T,)."""
+    """Return how badly lines of sight and landmarks of each pair go together, shape (T, P)."""
     points, miss = found
-    cost = np.nan_to_num(np.minimum(miss, MISS_CAP)).sum(axis=1)
+    capped = np.nan_to_num(np.minimum(miss, MISS_CAP))
+    cost = capped[:, 0::2] + capped[:, 1::2]
     across = points[:, 1::2] - points[:, 0::2]
     for way in told:
         square = ((across - way) ** 2).sum(axis=-1) / WIDTH_SIGMA_M**2
-        cost += np.nan_to_num(np.minimum(square, MISS_CAP)).sum(axis=1)
+        cost += np.nan_to_num(np.minimum(square, MISS_CAP))
     return np.asarray(cost)
 
 

@@ -158,8 +158,9 @@ def triangulate(
     is_exchanged = np.zeros(sight.confidence.shape, dtype=bool)
     if repair_labels and len(views) == 2:
         is_exchanged = find_labels(sight, sigma, _PointFinder(cameras))
-        sight = exchange(sight, is_exchanged)
-        sigma = noise.compute(cameras, sight)
+        if is_exchanged.any():
+            sight = exchange(sight, is_exchanged)
+            sigma = noise.compute(cameras, sight)
     if use_body:
         time_s = np.asarray(views[0].image.time_s)
         found = _find_with_body(cameras, sight, sigma, time_s, stature_m)
