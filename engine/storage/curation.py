@@ -388,9 +388,10 @@ def set_agreement(
     session: Session, pseudonym: str, *, consent_on: date | None, keep_until: date | None
 ) -> None:
     """Keep what was agreed with a person about their data."""
-    person = session.get(Person, find_person(session, _name(pseudonym)))
-    if person is None:
+    number = find_person(session, _name(pseudonym))
+    if number is None:
         raise ConfigError("An agreement needs the pseudonym of a person.")
+    person = session.get_one(Person, number)
     person.consent_on, person.keep_until = consent_on, keep_until
 
 

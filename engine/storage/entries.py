@@ -172,7 +172,7 @@ def count_levels(session: Session, filters: Filters) -> dict[FlagLevel | None, i
 
 def count_matches(session: Session, filters: Filters) -> int:
     """Return how many trials match."""
-    statement = join_current(select(func.count()).select_from(Trial))
+    statement = join_current(select(func.count()))
     return session.scalar(statement.where(*filters.conditions())) or 0
 
 
@@ -186,17 +186,18 @@ def count_choices(session: Session) -> Choices:
 
     counted = func.count(Trial.id)
     return Choices(
-        sites=count(Site.name, select(Site.name, counted).join(Job).join(Trial)),
-        jobs=count(Job.name, select(Job.name, counted).join(Trial)),
-        people=count(Person.pseudonym, select(Person.pseudonym, counted).join(Trial)),
-        tags=count(Tag.name, select(Tag.name, counted).join(TrialTag).join(Trial)),
+        sites=count(Site.name, join_current(select(Site.name, counted))),
+        jobs=count(Job.name, join_current(select(Job.name, counted))),
+        people=count(Person.pseudonym, join_current(select(Person.pseudonym, counted))),
+        tags=count(Tag.name, select(Tag.name, counted).select_from(Trial).join(TrialTag).join(Tag)),
     )
 
 
 def join_current(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
     """Join a trial with its place, its person and the newest version of its result."""
     return (
-        statement.join(Job, Trial.job_id == Job.id)
+        statement.select_from(Trial)
+        .join(Job, Trial.job_id == Job.id)
         .join(Site, Job.site_id == Site.id)
         .outerjoin(Person, Trial.person_id == Person.id)
         .outerjoin(Result, (Result.trial_id == Trial.id) & (Result.version == Trial.result_version))

@@ -117,10 +117,10 @@ def read_overview(session: Session, filters: Filters) -> Overview:
     def rows(statement: Select[*tuple[Any, ...]]) -> list[Any]:
         return list(session.execute(join_current(statement).where(*is_done)).all())
 
-    (total,) = rows(select(*_COUNTS).select_from(Trial))
+    (total,) = rows(select(*_COUNTS))
     year, month = extract("year", Trial.created_at), extract("month", Trial.created_at)
     by_month = rows(select(year, month, *_COUNTS).group_by(year, month).order_by(year, month))
-    damaged = join_current(select(func.count()).select_from(Trial)).where(
+    damaged = join_current(select(func.count())).where(
         *filters.conditions(), Trial.state == TrialState.DAMAGED
     )
     facts = (func.max(Result.li), func.max(Trial.created_at), *_COUNTS)

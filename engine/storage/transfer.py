@@ -26,6 +26,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import select
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from engine.errors import ConfigError, DataError, OutputError
@@ -223,6 +224,8 @@ class _reading:  # noqa: N801 - reads as a context, not as a type
             return
         if isinstance(error, FileNotFoundError | IsADirectoryError | PermissionError):
             raise DataError(f"The file {self.source} can't be opened; choose another.") from error
+        if isinstance(error, IntegrityError):
+            raise _damaged(self.source, "its rows contradict each other") from error
         if isinstance(error, _BAD_ZIP):
             raise _damaged(self.source, "it is no whole zip file") from error
         if isinstance(error, DECODING_ERRORS):
@@ -425,8 +428,11 @@ def _record_words(session: Session, trial_id: str, plain: Mapping[str, Any]) -> 
 def _keep_agreements(session: Session, people: Iterable[Mapping[str, Any]]) -> None:
     """Take over what was agreed with people the library knew nothing of."""
     for plain in people:
-        person = session.get(Person, find_person(session, clean_text(plain["pseudonym"])))
-        if person is not None and person.consent_on is None and person.keep_until is None:
+        number = find_person(session, clean_text(plain["pseudonym"]))
+        if number is None:
+            continue
+        person = session.get_one(Person, number)
+        if person.consent_on is None and person.keep_until is None:
             given = _from_plain(Person, plain)
             person.consent_on, person.keep_until = given.consent_on, given.keep_until
 

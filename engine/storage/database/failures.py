@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import DataError as BadValue
+from sqlalchemy.exc import DBAPIError, IntegrityError, ProgrammingError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from engine.errors import BackendUnavailable, DataError, OutputError
 
@@ -50,6 +52,8 @@ _CAUSES = (
 )
 """What drivers say (in lower case), and what to tell the user."""
 
+_OWN_FAULTS = (ProgrammingError, IntegrityError, BadValue)
+"""What a mistake of this program looks like: no user can help it, so it is not explained away."""
 _DAMAGE = ("file is not a database", "disk image is malformed")
 
 
@@ -66,10 +70,12 @@ def explain_database_errors(where: str) -> Iterator[None]:
     """
     try:
         yield
+    except _OWN_FAULTS:
+        raise
     except DBAPIError as error:
         raise _explain(where, str(error.orig)) from error
-    except SQLAlchemyError as error:
-        raise DatabaseUnavailable(f"The library's database {where} failed: {error}.") from error
+    except PoolTimeout as error:
+        raise _explain(where, "lock timeout") from error
 
 
 def _explain(where: str, said: str) -> DatabaseUnavailable | DatabaseDamaged:

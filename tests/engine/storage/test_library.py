@@ -23,8 +23,8 @@ from tests.builders import make_flag, make_trial_result
 
 
 @pytest.fixture
-def library(tmp_path: Path) -> Library:
-    return Library.open(tmp_path / "home")
+def library(any_library: Library) -> Library:
+    return any_library
 
 
 def add(library: Library, trial_id: str | None = None, **changes: object) -> str:
