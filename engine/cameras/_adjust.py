@@ -23,7 +23,7 @@ N_LENS = 9
 """Focal lengths, centre, k1, k2, p1, p2, k3."""
 SQUARE_SIGMA = 0.003
 """Pixels of phones are square to a few parts in a thousand."""
-HUBER = 2.0
+HUBER = 3.0
 """Residuals beyond this many standard errors count less and less."""
 LEAST_NOISE_PX = 0.05
 """Nobody finds corners better, however well a few of them happen to fit."""

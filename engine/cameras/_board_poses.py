@@ -6,7 +6,6 @@ right ones put the second camera at the same place again and again.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -109,29 +108,43 @@ def _count_votes(
     candidates: Sequence[Sequence[tuple[Pose, Pose]]],
 ) -> tuple[Pose | None, dict[int, int]]:
     """Return the relative pose that most pairs allow, and each one's rank that does."""
-    best: Pose | None = None
-    best_votes: dict[int, int] = {}
-    best_miss = math.inf
-    for trial in (relative for options in candidates for relative, _ in options):
-        votes, total = {}, 0.0
-        for index, options in enumerate(candidates):
-            misses = [_miss(relative, trial) for relative, _ in options]
-            if misses and min(misses) < 1.0:
-                votes[index] = int(np.argmin(misses))
-                total += min(misses)
-        if (len(votes), -total) > (len(best_votes), -best_miss):
-            best, best_votes, best_miss = trial, votes, total
-    return best, best_votes
+    flat = [
+        (index, rank, relative)
+        for index, options in enumerate(candidates)
+        for rank, (relative, _) in enumerate(options)
+    ]
+    if not flat:
+        return None, {}
+    turns = np.stack([pose.rotation for *_, pose in flat])
+    places = np.stack([-pose.rotation.T @ pose.translation for *_, pose in flat])
+    best, best_score = 0, (-1, 0.0)
+    for trial in range(len(flat)):
+        least = _least_per_pair(_miss(turns, places, trial), flat, len(candidates))
+        agreeing = least[least < 1.0]
+        if (len(agreeing), -float(agreeing.sum())) > best_score:
+            best, best_score = trial, (len(agreeing), -float(agreeing.sum()))
+    misses = _miss(turns, places, best)
+    votes: dict[int, int] = {}
+    for position in np.argsort(misses, kind="stable"):
+        index, rank, _ = flat[position]
+        if misses[position] < 1.0:
+            votes.setdefault(index, rank)
+    return flat[best][2], dict(sorted(votes.items()))
 
 
-def _miss(one: Pose, two: Pose) -> float:
-    """Return how far apart two relative poses are; below 1 they agree."""
-    cosine = (np.trace(one.rotation @ two.rotation.T) - 1.0) / 2.0
-    angle = math.degrees(math.acos(min(1.0, max(-1.0, float(cosine)))))
-    places = [-pose.rotation.T @ pose.translation for pose in (one, two)]
-    distance = float(np.linalg.norm(places[0] - places[1]))
-    length = max(float(np.linalg.norm(places[1])), 1e-6)
-    return max(angle / AGREE_DEG, distance / (AGREE_SHARE * length))
+def _least_per_pair(misses: Array, flat: Sequence[tuple[int, int, Pose]], n_pairs: int) -> Array:
+    least = np.full(n_pairs, np.inf)
+    np.minimum.at(least, [index for index, *_ in flat], misses)
+    return least
+
+
+def _miss(turns: Array, places: Array, trial: int) -> Array:
+    """Return how far relative poses are from one of them, shape (N,); below 1 they agree."""
+    cosine = (np.einsum("nij,ij->n", turns, turns[trial]) - 1.0) / 2.0
+    angle_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    distance = np.linalg.norm(places - places[trial], axis=1)
+    length = max(float(np.linalg.norm(places[trial])), 1e-6)
+    return np.asarray(np.maximum(angle_deg / AGREE_DEG, distance / (AGREE_SHARE * length)))
 
 
 def _turn_to(
@@ -181,29 +194,25 @@ def _explain_disagreement(
         "The place of the cameras differs from one board pose to the next: "
         f"{n_votes} of {len(pairs)} agree"
     )
-    if board.kind == "checkerboard":
-        for index, name in enumerate(names):
-            if _agrees_when_mirrored(pairs, lenses, board, index):
-                return (
-                    f"{said}, but they would if {name} were not mirrored, as a selfie camera is; "
-                    "film with the main camera, or switch mirroring off."
-                )
+    if board.kind == "checkerboard" and _agree_when_mirrored(pairs, lenses, board):
+        return (
+            f"{said}, but they would if one of {names[0]} and {names[1]} were not mirrored, as a "
+            "selfie camera is; film with the main camera, or switch mirroring off."
+        )
     return (
         f"{said}. Check that both videos show the same board, that no phone was moved, and the "
         "time between the videos; hold the board still for 2 s at each place."
     )
 
 
-def _agrees_when_mirrored(
-    pairs: Sequence[Pair], lenses: Sequence[Lens], board: BoardSpec, index: int
-) -> bool:
-    width = 2.0 * lenses[index].values[2]
+def _agree_when_mirrored(pairs: Sequence[Pair], lenses: Sequence[Lens], board: BoardSpec) -> bool:
+    """Return whether the pairs agree once the second picture is mirrored, or just so the first."""
+    width = 2.0 * lenses[1].values[2]
     candidates = []
     for pair in pairs:
-        views = [pair.first, pair.second]
-        views[index] = _mirror(views[index], width, board)
-        poses = [solve_poses(view, lens, board) for view, lens in zip(views, lenses, strict=True)]
-        candidates.append([(_relate(one, two), one) for one in poses[0] for two in poses[1]])
+        ones = solve_poses(pair.first, lenses[0], board)
+        twos = solve_poses(_mirror(pair.second, width, board), lenses[1], board)
+        candidates.append([(_relate(one, two), one) for one in ones for two in twos])
     _, votes = _count_votes(candidates)
     return len(votes) >= max(LEAST_PAIRS, LEAST_AGREEMENT * len(pairs))
 

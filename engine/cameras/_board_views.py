@@ -213,7 +213,7 @@ def collect_views(
     if not views:
         raise CalibrationError(_explain_absence(board, pictures, name, n_pictures))
     if board.kind == "checkerboard":
-        _require_whole_board(board, pictures, name)
+        _require_whole_board(board, pictures, name, is_thorough=is_thorough)
     return Sightings(name, size_px, _with_speeds(views), n_pictures, tuple(pictures))
 
 
@@ -380,21 +380,40 @@ def _require_same_size(
     return size
 
 
-def _require_whole_board(board: BoardSpec, pictures: Sequence[Gray], name: str) -> None:
+def _require_whole_board(
+    board: BoardSpec, pictures: Sequence[Gray], name: str, *, is_thorough: bool
+) -> None:
     """Refuse a board that is larger than stated: any part of it would fit, another in each view."""
-    stated = (board.columns - 1, board.rows - 1)
-    larger = [(1, 0), (0, 1), (1, 1), (2, 2)]
-    for gray in pictures[:: max(1, len(pictures) // 3)]:
-        if _find_checkers(gray, stated, is_thorough=False) is None:
+    pattern = (board.columns - 1, board.rows - 1)
+    for gray in pictures:
+        pixels = _find_checkers(gray, pattern, is_thorough=is_thorough)
+        if pixels is not None and _goes_on(gray, pixels, pattern):
+            raise CalibrationError(
+                f"The checkerboard in the pictures of {name} has more than {board.columns} x "
+                f"{board.rows} squares; count all its squares, not its inner corners."
+            )
+
+
+def _goes_on(gray: Gray, pixels: Array, pattern: tuple[int, int]) -> bool:
+    """Return whether squares of both colours follow beyond the outer ones on any side."""
+    columns, rows = pattern
+    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    homography, _ = cv2.findHomography(grid.astype(np.float64), pixels)
+    along_x, along_y = np.arange(columns - 1) + 0.5, np.arange(rows - 1) + 0.5
+    sides = [(along_x, np.full(columns - 1, y)) for y in (-1.5, rows + 0.5)]
+    sides += [(np.full(rows - 1, x), along_y) for x in (-1.5, columns + 0.5)]
+    inside = abs(_compare_colours(gray, pixels, pattern))
+    height, width = gray.shape
+    for x, y in sides:
+        places = cv2.perspectiveTransform(np.stack([x, y], axis=1)[None], homography)[0]
+        u, v = np.round(places).astype(int).T
+        if (u < 0).any() or (v < 0).any() or (u >= width).any() or (v >= height).any():
             continue
-        for more in larger:
-            pattern = (stated[0] + more[0], stated[1] + more[1])
-            if _find_checkers(gray, pattern, is_thorough=False) is not None:
-                raise CalibrationError(
-                    f"The checkerboard in the pictures of {name} has at least {pattern[0] + 1} x "
-                    f"{pattern[1] + 1} squares, not {board.columns} x {board.rows}; count all its "
-                    "squares, not its inner corners."
-                )
+        bright = gray[v, u].astype(float)
+        is_even = np.arange(len(bright)) % 2 == 0
+        if abs(bright[is_even].mean() - bright[~is_even].mean()) > 0.5 * inside:
+            return True
+    return False
 
 
 def _explain_absence(board: BoardSpec, pictures: Sequence[Gray], name: str, n_pictures: int) -> str:

@@ -47,7 +47,7 @@ MOST_BLUR_PX = 2.0
 SAME_TIME_S = 0.06
 KNOWN_TIME_SIGMA_S = 0.015
 FOUND_TIME_SIGMA_S = 0.1
-BASELINE_M = (0.15, 25.0)
+BASELINE_M = (0.4, 25.0)
 MOST_RMS_SHARE = 0.0015
 """Largest reprojection error, as a share of the picture's longer side: 3 px of 1920."""
 FLOOR_THICKNESS_SIGMA_M = 0.003
@@ -118,7 +118,7 @@ def calibrate_board(
     relative, pairs, poses = agree(pairs, starts, board, names)
     floor = None if floor_at_s is None else _find_floor(both, floor_at_s, offset_s)
     problem = _build_problem(board, both, lenses, starts, relative, pairs, poses, floor)
-    solution = _adjust_without_outliers(problem)
+    solution = _adjust_without_outliers(problem, is_first_held=floor is not None)
     return _finish(solution, both, board, lenses, floor, offset_s)
 
 
@@ -338,16 +338,35 @@ def _loose_prior(lens: Lens, size_px: tuple[int, int]) -> LensPrior:
     return LensPrior(mean, sigma)
 
 
-def _adjust_without_outliers(problem: Bundle) -> Adjusted:
-    """Adjust, leave out the sightings that fit far worse than the others, and adjust again."""
+def _adjust_without_outliers(problem: Bundle, *, is_first_held: bool) -> Adjusted:
+    """Adjust, leave out the board poses that fit far worse than the others, and adjust again.
+
+    `is_first_held` keeps the first one, the board on the floor, whatever it fits like.
+    """
     solution = adjust(problem)
     errors = np.array([np.sqrt(np.mean(np.sum(r * r, axis=1))) for r in solution.residual_px])
-    is_good = errors <= max(4.0 * float(np.median(errors)), 0.5)
-    counts = np.bincount([s.body for s, ok in zip(problem.sightings, is_good, strict=True) if ok])
-    if is_good.all() or len(counts) < len(problem.body_rotation) or not counts.all():
+    bodies = np.array([sighting.body for sighting in problem.sightings])
+    is_bad = np.zeros(len(problem.body_rotation), dtype=bool)
+    np.logical_or.at(is_bad, bodies, errors > max(4.0 * float(np.median(errors)), 0.5))
+    is_bad[0] &= not is_first_held
+    n_pairs = int((np.bincount(bodies)[~is_bad] == 2).sum())
+    if not is_bad.any() or n_pairs < LEAST_PAIRS:
         return solution
-    kept = tuple(s for s, ok in zip(problem.sightings, is_good, strict=True) if ok)
-    return adjust(replace(solution.bundle, sightings=kept))
+    numbers = np.cumsum(~is_bad) - 1
+    found = solution.bundle
+    return adjust(
+        replace(
+            found,
+            body_rotation=found.body_rotation[~is_bad],
+            body_translation=found.body_translation[~is_bad],
+            is_body_held=found.is_body_held[~is_bad],
+            sightings=tuple(
+                replace(sighting, body=int(numbers[sighting.body]))
+                for sighting in problem.sightings
+                if not is_bad[sighting.body]
+            ),
+        )
+    )
 
 
 def _finish(
