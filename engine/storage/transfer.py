@@ -16,6 +16,7 @@ import hashlib
 import json
 import logging
 import math
+import re
 import shutil
 import zipfile
 import zlib
@@ -44,6 +45,7 @@ from engine.storage.database.models import (
     Result,
     Review,
     Trial,
+    UtcDateTime,
 )
 from engine.storage.results import DECODING_ERRORS, DOCUMENT_NAME
 from engine.storage.summary import clean_text, read_folder
@@ -62,6 +64,7 @@ MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 256 << 20
 COMPRESSED = (".mp4", ".jpg", ".jpeg", ".png", ".npz", ".zip")
 """Files that a zip can't make smaller."""
+_SHA256 = re.compile("[0-9a-f]{64}")
 _BAD_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
 
 
@@ -283,6 +286,8 @@ def _announced(manifest: Mapping[str, Any], source: Path) -> Iterator[_Member]:
             name = f"trials/{trial['id']}/{file['path']}"
             yield _Member(name, str(file["sha256"]), int(file["size"]))
     for kept in manifest["artefacts"]:
+        if not _SHA256.fullmatch(kept["sha256"]):
+            raise _damaged(source, f"{kept['sha256']!r} is no SHA-256")
         yield _Member(f"artefacts/{kept['sha256']}", str(kept["sha256"]), int(kept["size"]))
 
 
@@ -440,8 +445,13 @@ def _keep_agreements(session: Session, people: Iterable[Mapping[str, Any]]) -> N
 def _from_plain(table: Any, plain: Mapping[str, Any], **own: Any) -> Any:
     """Build a row from values of JSON; a column it does not have is an error."""
     columns = table.__table__.columns
-    values = {name: _decode(columns[name].type.python_type, v) for name, v in plain.items()}
+    values = {name: _decode(_kind_of(columns[name].type), v) for name, v in plain.items()}
     return table(**values, **own)
+
+
+def _kind_of(column: Any) -> type:
+    kind: type = datetime if isinstance(column, UtcDateTime) else column.python_type
+    return kind
 
 
 def _decode(kind: type, value: Any) -> Any:
