@@ -19,6 +19,7 @@ _ROUND = "form_round"
 _TRIAL = "trial"
 _JOB = "job"
 _REFERENCE_ROUND = "reference_round"
+_IMPROVE = "improve"
 
 SAMPLE_KEY = "sample"
 SOURCE_KEY = "source"
@@ -184,3 +185,26 @@ def _form_values(request: JobRequest) -> dict[str, Any]:
         "calibration": two_view.calibration,
         "offset_s": two_view.given_offset_s,
     }
+
+
+# --------------------------------------------------------------------------- improve
+
+
+def improve_key(scope: str, field: str) -> str:
+    """Return the widget key of an input of what-if; it changes when the inputs are filled anew."""
+    return f"improve_{scope}_{field}_{_improve_fill(scope)[0]}"
+
+
+def improve_start(scope: str, field: str, otherwise: Any) -> Any:
+    """Return what an input of what-if starts with: the proposal that is tried, or as filmed."""
+    return _improve_fill(scope)[1].get(field, otherwise)
+
+
+def fill_improve(scope: str, values: dict[str, Any]) -> None:
+    """Start the inputs of what-if anew: as filmed, but for the values given."""
+    st.session_state[f"{_IMPROVE}_{scope}"] = (_improve_fill(scope)[0] + 1, values)
+
+
+def _improve_fill(scope: str) -> tuple[int, dict[str, Any]]:
+    found: tuple[int, dict[str, Any]] = st.session_state.get(f"{_IMPROVE}_{scope}", (0, {}))
+    return found

@@ -8,6 +8,7 @@ that parts may show different people; loads on the back add up in one back only.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -237,7 +238,7 @@ def _compose_index(
         compute_cli(_list_tasks(parts, found, total_h, bound=k), duration).value for k in (0, 1)
     )
     level = classify_index(index.value)
-    doubts = list(dict.fromkeys(_list_doubts(found)))
+    doubts = [*_doubt_rate(index, duration), *_list_doubts(found)]
     return RiskResult(
         method=JOB.info.name,
         value=index.value,
@@ -288,13 +289,32 @@ def _list_tasks(
 
 
 def _list_doubts(found: Sequence[PartResult]) -> Iterator[str]:
+    """Say every doubt once: with the first part that has it, and how many more do."""
+    known: dict[str, list[tuple[str, str]]] = {}
     for part in found:
-        for lift in part.rnle.per_lift:
-            for doubt in lift.details.get("doubts", ()):
-                yield f"{part.name}: {doubt}"
         unseen = sum(not lift.is_applicable for lift in part.rnle.per_lift)
+        doubts = [d for lift in part.rnle.per_lift for d in lift.details.get("doubts", ())]
         if unseen:
-            yield f"{part.name}: {unseen} of {len(part.rnle.per_lift)} lifts could not be judged"
+            doubts.append(f"{unseen} of {len(part.rnle.per_lift)} lifts could not be judged")
+        for doubt in dict.fromkeys(doubts):
+            # The same sentence with another number is the same doubt.
+            known.setdefault(re.sub(r"[\d.]+", "#", doubt), []).append((part.name, doubt))
+    for parts in known.values():
+        name, doubt = parts[0]
+        others = len({other for other, _ in parts} - {name})
+        more = f" and {others} more" if others else ""
+        yield f"{name}{more}: {doubt}"
+
+
+def _doubt_rate(index: CompositeIndex, duration: Duration) -> Iterator[str]:
+    """Say why there is no limit left, where it is the rate of all tasks together."""
+    is_alone = all(math.isfinite(task.STLI) for task in index.tasks)
+    if math.isinf(index.value) and is_alone:
+        rate = sum(task.task.frequency_per_min for task in index.tasks)
+        yield (
+            f"the tasks together make {rate:.3g} lifts per minute, more than the equation's table "
+            f"has for {duration} duration"
+        )
 
 
 def _list_inputs(
