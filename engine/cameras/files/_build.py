@@ -311,12 +311,11 @@ def require_apart(cameras: Sequence[Camera], file_name: str) -> None:
 
 
 def _stands_up(cameras: Sequence[Camera], up: Array, floor_m: float) -> bool:
-    """Return whether every camera stands above the floor, neither on its head nor on its back."""
+    """Return whether every camera stands upright, more or less level, above the floor."""
     for camera in cameras:
         right, down, forward = camera.rotation @ up
-        is_on_side = abs(right) > abs(down)
-        is_level = abs(forward) < MAX_STEEP
-        if not is_level or (down > 0 and not is_on_side):
+        # A camera on its side in one world may stand upright in another: it confirms nothing.
+        if abs(forward) > MAX_STEEP or -down < abs(right):
             return False
         if not math.isnan(floor_m) and camera_centre(camera) @ up < floor_m:
             return False

@@ -163,3 +163,25 @@ def film(
             image = draw_board(camera, board, pose)
         grain = rng.normal(0, noise, image.shape[:2])[..., None]
         yield Frame(index, index * step_s, np.clip(image + grain, 0, 255).astype(np.uint8))
+
+
+CHARUCO = BoardSpec("charuco", 7, 5, 0.07)
+CHECKER = BoardSpec("checkerboard", 8, 5, 0.06)
+ON_FLOOR = lay_board((0.0, 0.35, 0.15), (0.0, 9.0, 0.15))
+N_PAIRS, N_NEAR = 8, 6
+
+
+def plan() -> tuple[list[Array | None], list[Array | None]]:
+    """Return what each camera sees in turn: pairs, one camera near the board, the other, floor."""
+    cameras = pair_of_cameras()
+    pairs = random_poses(N_PAIRS, 1)
+    near = [near_poses(camera, N_NEAR, 2 + i) for i, camera in enumerate(cameras)]
+    gap = [None] * N_NEAR
+    return ([*pairs, *near[0], *gap, ON_FLOOR], [*pairs, *gap, *near[1], ON_FLOOR])
+
+
+@cache
+def filmed(board: BoardSpec) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
+    """Return the pictures of both cameras, one a second, drawn once."""
+    (left, right), (seen_left, seen_right) = pair_of_cameras(), plan()
+    return tuple(film(left, board, seen_left)), tuple(film(right, board, seen_right))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -17,35 +16,15 @@ from engine.datatypes import Frame
 from engine.errors import CalibrationError, ConfigError
 from engine.optics import camera_centre, project
 from tests.engine.cameras.board_scenes import (
+    CHARUCO,
+    CHECKER,
     draw_board,
-    film,
+    filmed,
     lay_board,
     near_poses,
     pair_of_cameras,
     random_poses,
 )
-
-CHARUCO = BoardSpec("charuco", 7, 5, 0.07)
-CHECKER = BoardSpec("checkerboard", 8, 5, 0.06)
-ON_FLOOR = lay_board((0.0, 0.35, 0.15), (0.0, 9.0, 0.15))
-N_PAIRS, N_NEAR = 8, 6
-
-
-def plan():
-    """Return what each camera sees in turn: pairs, one camera near the board, the other, floor."""
-    cameras = pair_of_cameras()
-    pairs = random_poses(N_PAIRS, 1)
-    near = [near_poses(camera, N_NEAR, 2 + i) for i, camera in enumerate(cameras)]
-    gap = [None] * N_NEAR
-    return ([*pairs, *near[0], *gap, ON_FLOOR], [*pairs, *gap, *near[1], ON_FLOOR])
-
-
-@cache
-def filmed(board):
-    return tuple(
-        tuple(film(camera, board, poses))
-        for camera, poses in zip(pair_of_cameras(), plan(), strict=True)
-    )
 
 
 def errors_of(calibration):

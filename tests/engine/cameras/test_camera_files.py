@@ -20,6 +20,7 @@ from engine.cameras.files import format_calibration, match_cameras, read_calibra
 from engine.datatypes import Calibration, Camera, CheckLevel
 from engine.errors import CalibrationError
 from engine.optics import camera_centre, project
+from tests.engine.cameras.board_scenes import pair_of_cameras
 
 TO_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 POINTS = np.array([[0.1, 0.2, 0.9], [-0.5, 0.3, 1.7], [0.4, -0.6, 0.0]])
@@ -179,6 +180,12 @@ class TestPose2Sim:
         assert np.isnan(read.up).all()
         assert math.isnan(read.floor_m)
         assert "person tells where up is" in read.provenance["notes"][0]
+
+    def test_a_world_with_y_up_is_not_taken_for_one_with_z_up(self, tmp_path):
+        """Seen slantwise, level cameras could be tilted ones lying on their side."""
+        level = pair_of_cameras()
+        read = read_calibration(write(tmp_path, write_pose2sim(level)))
+        assert np.isnan(read.up).all()
 
     @pytest.mark.parametrize(
         ("old", "new", "said"),
