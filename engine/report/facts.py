@@ -45,6 +45,8 @@ REPEATS_EQUATION = "rnle_job"
 FACTORS = ("HM", "VM", "DM", "AM", "FM", "CM")
 URGENCY = (FlagLevel.HIGH, FlagLevel.REVIEW, FlagLevel.OK)
 FINGERPRINT_LENGTH = 12
+UNITS = re.compile(r"(?<=\d) (kN|N|kg|cm|m/s|s|%)(?!\w)")
+"""A line must not break between a number and its unit."""
 DEGREES = re.compile(r"(?<=\d) deg(rees)?\b")
 
 
@@ -208,7 +210,8 @@ def read_facts(stored: StoredResult) -> TrialFacts:
 def typeset(text: str) -> str:
     """Return the plain arithmetic of stored text with its true signs."""
     text = text.replace(" -> ", " → ").replace(" x ", " × ").replace("(x ", "(×\u00a0")
-    return DEGREES.sub("°", text.replace(" - ", " − "))
+    text = DEGREES.sub("°", text.replace(" - ", " − "))
+    return UNITS.sub("\u00a0\\1", text)
 
 
 def parse_time(text: Any) -> datetime | None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from engine.datatypes import FlagLevel
-from engine.ergonomics.before_after import BeforeAfter, MeasureChange
 from engine.report.facts import URGENCY, TrialFacts, choose_index_digits, typeset
 from engine.report.figures import TrendChart, TrendPoint
 from engine.report.job_facts import GroupFacts, JobFacts
@@ -35,6 +35,9 @@ from engine.report.parts import (
     sentence,
 )
 from engine.report.wording import Words
+
+if TYPE_CHECKING:
+    from engine.ergonomics.before_after import BeforeAfter, MeasureChange
 
 __all__ = [
     "comparison_part",
@@ -94,7 +97,7 @@ def shares_part(group: GroupFacts, words: Words) -> Stack:
     """Show how many lifts have each level."""
     if not group.n_lifts:
         return section(words["shares"], Paragraph.of(words["no_lifts"], BODY.quiet))
-    note = Paragraph.of(words["shares_note"], SMALL.quiet, max_lines=2)
+    note = Paragraph.of(words["shares_note"], SMALL.quiet, max_lines=3)
     return section(words["shares"], LevelBar(group.lift_levels, words), note, gap=4.0)
 
 
@@ -118,7 +121,7 @@ def jobs_part(jobs: Sequence[JobFacts], words: Words, *, shown: int) -> Stack:
     rows = tuple(_job_row(job, words) for job in jobs[:shown])
     shares = (1.0, LEVEL_WIDTH, -36.0, -30.0, -82.0, -110.0)
     table = Table(tuple(words[key] for key in keys), rows, shares)
-    return section(words["jobs"], table, *more_line(len(jobs) - shown, words))
+    return section(words["jobs"], table, *more_line(len(jobs) - shown, words, "not_shown"))
 
 
 def _job_row(job: JobFacts, words: Words) -> TableRow:
@@ -199,7 +202,7 @@ def frequent_changes_part(group: GroupFacts, words: Words, *, shown: int) -> Sta
         runs = ((typeset(action), BODY), (f"· {often}", SMALL.quiet))
         mark = Paragraph.of(f"{number}.", BODY.bold)
         rows.append(Columns((mark, Paragraph(runs, max_lines=3)), (-10.0, 1.0), gap=3.0))
-    more = more_line(len(changes) - shown, words)
+    more = more_line(len(changes) - shown, words, "not_shown")
     return section(words["common_changes"], *rows, *more, gap=3.0)
 
 
@@ -230,7 +233,7 @@ def comparison_part(
     if outcome.reasons:
         reasons = " ".join(_join_reasons(outcome.reasons, words))
         said.append(Paragraph.of(reasons, SMALL.quiet, max_lines=4))
-    more = more_line(len(outcome.changes) - shown, words)
+    more = more_line(len(outcome.changes) - shown, words, "not_shown")
     return section(words["comparison"], *said, table, *more, gap=3.0)
 
 

@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import TYPE_CHECKING
 
-from engine.ergonomics.before_after import BeforeAfter
 from engine.errors import ConfigError
 from engine.report.facts import TrialFacts, fingerprint, read_facts
 from engine.report.fonts import REPLACEMENT, clean_text
@@ -29,6 +29,9 @@ from engine.report.sheet import Properties, Sheet
 from engine.report.wording import Words, select_words
 from engine.storage.results import StoredResult
 from engine.version import __version__
+
+if TYPE_CHECKING:
+    from engine.ergonomics.before_after import BeforeAfter
 
 __all__ = ["render_job_report"]
 

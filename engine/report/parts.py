@@ -192,11 +192,11 @@ def _flag_row(flag: Flag, words: Words, why_lines: int) -> Columns:
     return Columns((chip, Stack(texts)), (LEVEL_WIDTH, 1.0), gap=6.0)
 
 
-def more_line(n: int, words: Words) -> tuple[Block, ...]:
+def more_line(n: int, words: Words, key: str = "and_more") -> tuple[Block, ...]:
     """Say how many are left out; nothing where none are."""
     if n <= 0:
         return ()
-    return (Paragraph.of(words["and_more"].format(n=n), SMALL.quiet, max_lines=1),)
+    return (Paragraph.of(words[key].format(n=n), SMALL.quiet, max_lines=1),)
 
 
 def changes_part(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import dataclass
-
-from PIL import Image
+from typing import TYPE_CHECKING
 
 from engine.errors import VideoError
 from engine.storage.results import StoredResult
-from engine.video.reader import read_frames
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 __all__ = ["NoPicture", "Photo", "take_photo"]
 
@@ -65,7 +66,12 @@ def are_heads_covered(stored: StoredResult) -> bool:
     return isinstance(output, dict) and output.get("blur_heads") is True
 
 
-def _read_image(stored: StoredResult, time_s: float) -> Image.Image | None:
+def _read_image(stored: StoredResult, time_s: float) -> Image | None:
+    # Reading video takes a third of a second to load; most summaries need none.
+    from PIL.Image import fromarray
+
+    from engine.video.reader import read_frames
+
     assert stored.overlay_path is not None  # asked before
     # The annotated video begins at 0 with the first picture that was measured.
     times = stored.views[0].image.time_s if stored.views else stored.corrected.time_s
@@ -75,7 +81,7 @@ def _read_image(stored: StoredResult, time_s: float) -> Image.Image | None:
             return None
         try:
             frames = read_frames(stored.overlay_path, start_s=start_s, max_side_px=MAX_SIDE_PX)
-            return Image.fromarray(next(iter(frames)).image)
+            return fromarray(next(iter(frames)).image)
         except (VideoError, StopIteration):
             continue
     return None

@@ -291,7 +291,7 @@ class _TrialPage:
         caption = words["picture_caption"].format(
             time=words.number(moment.time_s, 1), what=moment.what
         )
-        captions: list[Block] = [Paragraph.of(caption, SMALL.quiet, max_lines=2)]
+        captions: list[Block] = [Paragraph.of(caption, SMALL.quiet, max_lines=3)]
         photo = self._photo
         figure: Block
         if isinstance(photo, Photo):

@@ -147,6 +147,7 @@ ENGLISH = Words(
         "window": "{start} s to {end} s",
         "at_time": "at {time} s",
         "and_more": "and {n} more in the full result",
+        "not_shown": "and {n} more, not shown here",
         # nouns
         "lift": "lift",
         "lifts": "lifts",
@@ -274,7 +275,10 @@ ENGLISH = Words(
         "at_level": "{level}: {n} of {total}",
         "highest_index": "Highest index",
         "shares": "Lifts at each level",
-        "shares_note": "A lift has the level of the most urgent flag about it.",
+        "shares_note": (
+            "A lift has the level of the most urgent flag about it; flags about a whole trial are "
+            "not counted here."
+        ),
         "no_lifts": "No lift was found in these trials.",
         "trend": "Over time",
         "trend_note": (

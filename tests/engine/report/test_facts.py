@@ -119,6 +119,10 @@ def test_typeset_gives_true_signs():
     )
 
 
+def test_a_number_is_not_parted_from_its_unit():
+    assert typeset("3.1 kN, 5 kg of 4 kgs, 20 %") == "3.1\u00a0kN, 5\u00a0kg of 4 kgs, 20\u00a0%"
+
+
 @pytest.mark.parametrize("text", [None, 5, "", "yesterday", "2026-13-01", "9999999-01-01"])
 def test_an_unreadable_date_is_none(text):
     assert parse_time(text) is None
