@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from engine.cameras._board_views import BoardSpec, make_aruco_board
 from engine.datatypes import Array, Camera, Frame
-from engine.optics import normalise_points
 
 Picture = NDArray[np.uint8]
 
@@ -122,7 +121,14 @@ def _lens_map(camera: Camera) -> NDArray[np.float32]:
         width, height = (FINER * side for side in camera.size_px)
         x, y = np.meshgrid(np.arange(width), np.arange(height))
         pixels = (np.stack([x, y], axis=-1) + 0.5) / FINER - 0.5
-        straight = normalise_points(camera, pixels) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+        straight = cv2.undistortPointsIter(
+            pixels.reshape(-1, 1, 2),
+            camera.matrix,
+            camera.distortion,
+            np.eye(3),
+            camera.matrix,
+            (cv2.TERM_CRITERIA_COUNT, 12, 0.0),
+        ).reshape(pixels.shape)
         _MAPS[key] = ((straight + 0.5) * FINER - 0.5).astype(np.float32)
     return _MAPS[key]
 
