@@ -8,7 +8,7 @@ the angles in use (rad), in this order.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,16 @@ from engine.kinematics.fitting._banded import BandedFactor, Roughness, factorise
 from engine.kinematics.humanoid.model import ANGLE_COUNT, ANGLE_VARIABLES, column
 from engine.kinematics.humanoid.tree import Posture, Tree
 
-__all__ = ["ClipFit", "ClipProblem", "Linearisation", "fit_clip", "fit_frames", "linearise"]
+__all__ = [
+    "ROOT",
+    "ClipFit",
+    "ClipProblem",
+    "Linearisation",
+    "Pull",
+    "fit_clip",
+    "fit_frames",
+    "linearise",
+]
 
 ROOT = 3
 """Unknowns of a frame before the angles: the mid-hip."""
@@ -33,6 +42,20 @@ LENGTH_STEPS = 2
 """Steps in which segment lengths are refined; they settle long before the angles do."""
 LIMIT_SIGMA = np.radians(3.0)
 LIMIT_MARGIN = np.radians(15.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """How what was seen pulls on the figure's points in t frames, to first order.
+
+    `residual` has shape (R, t), in standard errors, less where the robust loss discounts it;
+    `misfit` (t,) is what the loss makes of a frame. `carry` turns derivatives of the points, shape
+    (P, 3, m, t), into those of the residuals, shape (R, m, t); it may overwrite what it is given.
+    """
+
+    residual: Array
+    misfit: Array
+    carry: Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +118,35 @@ class ClipProblem:
         """Return the place of an angle in the state of a frame."""
         place: int = self.variables.index(column(name))
         return ROOT + place
+
+    def weigh(self, points: Array, part: slice) -> Pull:
+        """Compare points of shape (P, 3, t) with what was seen in a part of the frames."""
+        residual = points - self.target[:, :, part]
+        weight = self.weight[:, part]
+        distance = np.sqrt(weight * np.einsum("pct,pct->pt", residual, residual))
+        is_far = distance > self.huber
+        loss = np.where(is_far, self.huber * (2.0 * distance - self.huber), distance**2)
+        share = np.where(is_far, self.huber / np.maximum(distance, 1e-9), 1.0)
+        pull = np.sqrt(weight * share)
+
+        def carry(slope: Array) -> Array:
+            slope *= pull[:, None, None, :]
+            return slope.reshape(-1, *slope.shape[2:])
+
+        residual *= pull[:, None, :]
+        return Pull(residual.reshape(-1, residual.shape[2]), loss.sum(axis=0), carry)
+
+    def count_samples(self) -> Array:
+        """Return how many numbers were seen in every frame, shape (T,)."""
+        return np.asarray(3.0 * (self.weight > 0).sum(axis=0))
+
+    def compare(self, state: Array) -> Array:
+        """Return the residuals (R, T) at a state (T, n), those of outliers cut to `huber`."""
+        residual = self.place(state) - self.target
+        residual *= np.sqrt(self.weight)[:, None, :]
+        length = np.linalg.norm(residual, axis=1, keepdims=True)
+        residual *= np.minimum(1.0, self.huber / np.maximum(length, 1e-9))
+        return residual.reshape(-1, residual.shape[2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,17 +211,15 @@ def linearise(
     for start in range(0, n_frames, CHUNK):
         part = slice(start, min(start + CHUNK, n_frames))
         posture = problem.tree.place(problem.spread(state[part]), problem.lengths)
-        residual = posture.points + state[part, :ROOT].T - problem.target[:, :, part]
-        pull, misfit[part] = _weigh_residuals(problem, residual, part)
+        pull = problem.weigh(posture.points + state[part, :ROOT].T, part)
+        misfit[part] = pull.misfit
         rows = _weighted_rows(problem, posture, pull, n)
-        pulled = (residual * pull[:, None, :]).reshape(-1, residual.shape[2]).T
+        pulled = pull.residual.T
         gradient[part] = (rows @ pulled[..., None])[..., 0]
         blocks[part] = rows @ rows.transpose(0, 2, 1)
         if count:
             slope = problem.tree.differentiate_lengths(posture, length_names)
-            slope *= pull[:, None, None, :]
-            columns = slope.reshape(-1, count, slope.shape[3]).transpose(2, 0, 1)
-            columns = np.ascontiguousarray(columns)
+            columns = np.ascontiguousarray(pull.carry(slope).transpose(2, 0, 1))
             by_length.coupling[part] = rows @ columns
             by_length.block[:] += np.tensordot(columns, columns, axes=([0, 1], [0, 1]))
             by_length.gradient[:] += np.tensordot(columns, pulled, axes=([0, 1], [0, 1]))
@@ -180,25 +230,14 @@ def linearise(
     return Linearisation(whole, gradient, blocks, prior, cost, misfit, by_length)
 
 
-def _weigh_residuals(problem: ClipProblem, residual: Array, part: slice) -> tuple[Array, Array]:
-    """Return the root of every point's weight, (P, T), and the misfit of every frame."""
-    weight = problem.weight[:, part]
-    distance = np.sqrt(weight * np.einsum("pct,pct->pt", residual, residual))
-    is_far = distance > problem.huber
-    loss = np.where(is_far, problem.huber * (2.0 * distance - problem.huber), distance**2)
-    share = np.where(is_far, problem.huber / np.maximum(distance, 1e-9), 1.0)
-    return np.sqrt(weight * share), loss.sum(axis=0)
-
-
-def _weighted_rows(problem: ClipProblem, posture: Posture, pull: Array, n: int) -> Array:
-    """Return the weighted derivatives of all coordinates by the unknowns, (T, n, 3 P)."""
+def _weighted_rows(problem: ClipProblem, posture: Posture, pull: Pull, n: int) -> Array:
+    """Return the derivatives of all residuals by the unknowns, shape (T, n, R)."""
     n_points, _, n_frames = posture.points.shape
     jacobian = np.zeros((n_points, 3, n, n_frames))
     for axis in range(3):
         jacobian[:, axis, axis] = 1.0
     jacobian[:, :, ROOT:] = problem.tree.differentiate(posture, problem.variables)
-    jacobian *= pull[:, None, None, :]
-    return np.ascontiguousarray(jacobian.reshape(-1, n, n_frames).transpose(2, 1, 0))
+    return np.ascontiguousarray(pull.carry(jacobian).transpose(2, 1, 0))
 
 
 def _add_priors(problem: ClipProblem, state: Array, blocks: Array, gradient: Array) -> Array:

@@ -9,6 +9,7 @@ of a second later.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ from engine.kinematics.humanoid.readout import (
 )
 from engine.skeletons import Skeleton, get_skeleton
 
-__all__ = ["ANGLES", "REQUIRED", "read_angles"]
+__all__ = ["ANGLES", "REQUIRED", "StateErrors", "find_state_errors", "read_angles"]
 
 ALIKE_AFTER_S = 0.1
 SLOW_GAIN = 1.4
@@ -76,7 +77,10 @@ ANGLES: tuple[str, ...] = tuple(name for name in geometry.ANGLE_NAMES if name in
 
 
 def read_angles(
-    track: PoseTrack, fit: ClipFit, seen: NDArray[np.bool_]
+    track: PoseTrack,
+    fit: ClipFit,
+    seen: NDArray[np.bool_],
+    errors: StateErrors | None = None,
 ) -> tuple[JointAngles, tuple[str, ...]]:
     """Return the joint angles of a fit, and the names of those that no frame shows.
 
@@ -88,12 +92,16 @@ def read_angles(
         The fit.
     seen
         Shape (P, T): where each point of the figure was seen.
+    errors
+        Of the fit, where they are known already.
     """
     support, bridged, status = _find_support(track, fit, seen)
     pose = fit.problem.spread(fit.state)
     for side, rows in SHOULDER_ROWS.items():
         pose[list(rows)] = shoulder_from_vectors(pose[list(rows)], side)
-    variance, hidden = _find_variance(track.time_s, fit, pose, bridged)
+    if errors is None:
+        errors = find_state_errors(track.time_s, fit, is_bridged=bool(bridged.any()))
+    variance, hidden = _find_variance(track.time_s, fit, pose, bridged, errors)
     value = np.array(_named_values(pose)).T
     sigma = np.minimum(np.degrees(np.sqrt(variance)).T, UNKNOWN_SIGMA_DEG)
     is_known = support & ~hidden.T & ~_is_out_to_the_side(value)
@@ -170,22 +178,48 @@ def _is_out_to_the_side(value: Array) -> NDArray[np.bool_]:
 # --------------------------------------------------------------------------- standard errors
 
 
+@dataclass(frozen=True, eq=False)
+class StateErrors:
+    """Covariances of every frame's unknowns, shape (T, n, n).
+
+    `alone` holds if every frame had been fitted by itself, `linked` if all errors were quick
+    (None where nothing is quick); `slow` is the share of the errors that lasts.
+    """
+
+    alone: Array
+    linked: Array | None
+    slow: float
+
+    @property
+    def total(self) -> Array:
+        """The covariance of both kinds of errors together."""
+        if self.linked is None:
+            return self.alone
+        return np.asarray(self.slow * self.alone + (1.0 - self.slow) * self.linked)
+
+
+def find_state_errors(time_s: Array, fit: ClipFit, *, is_bridged: bool) -> StateErrors:
+    """Find how certain the unknowns of a fit are; `is_bridged` where it reaches over gaps."""
+    slow = _find_slow_share(time_s, fit)
+    linked = _link_frames(fit) if slow < ALL_SLOW or is_bridged else None
+    scale = _find_scale(time_s, fit, slow, linked)[:, None, None]
+    around = fit.around
+    alone = np.linalg.inv(around.data_blocks / scale + around.prior_blocks)
+    linked = None if linked is None else linked * scale
+    return StateErrors(np.asarray(alone, dtype=np.float64), linked, slow)
+
+
 def _find_variance(
-    time_s: Array, fit: ClipFit, pose: Array, bridged: NDArray[np.bool_]
+    time_s: Array, fit: ClipFit, pose: Array, bridged: NDArray[np.bool_], errors: StateErrors
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return the variance of every angle, rad^2, and where it was not seen; shape (A, T)."""
-    slow = _find_slow_share(time_s, fit)
-    linked = _link_frames(fit) if slow < ALL_SLOW or bridged.any() else None
-    scale = _find_scale(time_s, fit, slow, linked)
-    around = fit.around
-    alone = np.linalg.inv(around.data_blocks / scale[:, None, None] + around.prior_blocks)
     slopes = {side: _slope_of_shoulder(fit, side) for side in SHOULDER_ROWS}
     slopes["world"] = _slope_of_world_angles(pose[:6])
-    own, hidden = _variance_of_angles(fit, slopes, np.asarray(alone, dtype=np.float64))
-    if linked is None:
+    own, hidden = _variance_of_angles(fit, slopes, errors.alone)
+    if errors.linked is None:
         return own, hidden
-    smooth, hidden_smooth = _variance_of_angles(fit, slopes, linked * scale[:, None, None])
-    total = slow * own + (1.0 - slow) * smooth
+    smooth, hidden_smooth = _variance_of_angles(fit, slopes, errors.linked)
+    total = errors.slow * own + (1.0 - errors.slow) * smooth
     lasting = [ANGLES.index(name) for name in _FROM_ASSUMPTION]
     total[lasting] = own[lasting]
     gap = bridged.T
@@ -222,14 +256,14 @@ def _find_scale(time_s: Array, fit: ClipFit, slow: float, linked: Array | None) 
 
     Never below one: errors that the whole figure shares can't be seen in the residuals.
     """
-    n_seen = (fit.problem.weight > 0).sum(axis=0)
+    n_samples = fit.problem.count_samples()
     # Every unknown takes its share out of the residuals: all of it from slow errors, less from
     # quick ones, because the unknowns of neighbouring frames hang together.
     data = fit.around.data_blocks
     taken = np.einsum("tij,tji->t", data, np.linalg.inv(fit.around.blocks))
     if linked is not None:
         taken = slow * taken + (1.0 - slow) * np.einsum("tij,tji->t", data, linked)
-    freedom = np.maximum(3.0 * n_seen - taken, 0.25 * n_seen)
+    freedom = np.maximum(n_samples - taken, n_samples / 12.0)
     misfit = fit.around.misfit
     if freedom.sum() <= 0:
         return np.ones(time_s.size)
@@ -250,11 +284,7 @@ def _find_slow_share(time_s: Array, fit: ClipFit) -> float:
     lag = max(1, round(ALIKE_AFTER_S / float(np.median(np.diff(time_s)))))
     if time_s.size <= 3 * lag:
         return 1.0
-    problem = fit.problem
-    residual = problem.place(fit.state) - problem.target
-    residual *= np.sqrt(problem.weight)[:, None, :]
-    length = np.linalg.norm(residual, axis=1, keepdims=True)
-    residual *= np.minimum(1.0, problem.huber / np.maximum(length, 1e-9))
+    residual = fit.problem.compare(fit.state)
     power = float(np.sum(residual[..., :-lag] ** 2 + residual[..., lag:] ** 2)) / 2
     if power <= 0.0:
         return 1.0

@@ -47,7 +47,19 @@ from engine.kinematics.humanoid.model import (
 from engine.kinematics.humanoid.tree import Tree
 from engine.skeletons import get_skeleton
 
-__all__ = ["SOLVER", "FitSettings", "fit_track"]
+__all__ = [
+    "SOLVER",
+    "FitSettings",
+    "TrackFit",
+    "choose_points",
+    "find_quick_share",
+    "fit_nothing",
+    "fit_track",
+    "make_body",
+    "make_priors",
+    "roughness_weight",
+    "warn_of_fit",
+]
 
 HEAD = ("left_ear", "right_ear", "nose")
 FEET = ("left_heel", "right_heel", "left_big_toe", "right_big_toe")
@@ -193,10 +205,11 @@ def _pose_problem(
     angles = guess_angles(points, time_s, waist_share=settings.waist_share)
     start = np.concatenate([guess_root(points, time_s), angles[list(tree.variables)]]).T
     target = np.stack([points[name].T for name in tree.points])
-    mean, prior_weight = _make_priors(tree, start)
+    mean, prior_weight = make_priors(tree, start)
     weight = _weigh(track, tree.points, np.asarray(np.isfinite(target).all(axis=1)))
     # Smoothing is only worth what quick noise costs; errors that last are no smoother for it.
-    rough = _roughness_weight(tree, time_s.size, settings) * _find_quick_share(target, weight)
+    rough = roughness_weight(tree, time_s.size, settings.smoothness, settings.root_smoothness)
+    rough *= find_quick_share(target, weight)
     pitch = angles[0] + angles[3]
     waist_variance = np.radians(WAIST_FLOOR_DEG) ** 2 + (settings.waist_sigma * pitch) ** 2
     problem = ClipProblem(
@@ -214,10 +227,10 @@ def _pose_problem(
     return problem, start
 
 
-def _roughness_weight(tree: Tree, n_frames: int, settings: FitSettings) -> Array:
-    """Return what roughness costs, shape (T, n)."""
-    weight = np.full((n_frames, ROOT + len(tree.variables)), 1.0 / settings.smoothness)
-    weight[:, :ROOT] = 1.0 / settings.root_smoothness
+def roughness_weight(tree: Tree, n_frames: int, smoothness: float, root_smoothness: float) -> Array:
+    """Return what roughness costs, shape (T, n); both settings as in `FitSettings`."""
+    weight = np.full((n_frames, ROOT + len(tree.variables)), 1.0 / smoothness)
+    weight[:, :ROOT] = 1.0 / root_smoothness
     return weight
 
 
@@ -230,11 +243,12 @@ def _weigh(track: PoseTrack, points: tuple[str, ...], seen: NDArray[np.bool_]) -
     return np.asarray(seen / (sigma**2 + figure[:, None] ** 2))
 
 
-def _find_quick_share(target: Array, weight: Array) -> float:
+def find_quick_share(target: Array, weight: Array) -> float:
     """Return the share of the stated variance that changes from frame to frame.
 
     Seen in the third differences of the keypoints, in which movement hardly shows: for white
-    noise their variance is 20 times that of the noise.
+    noise their variance is 20 times that of the noise. `target` has shape (P, D, T), `weight`
+    (P, T).
     """
     change = np.diff(target, n=3, axis=2) * np.sqrt(weight[:, None, 3:])
     known = np.abs(change[np.isfinite(change) & (change != 0.0)])
@@ -244,7 +258,7 @@ def _find_quick_share(target: Array, weight: Array) -> float:
     return float(np.clip(quick**2, MIN_QUICK_SHARE, 1.0))
 
 
-def _make_priors(tree: Tree, start: Array) -> tuple[Array, Array]:
+def make_priors(tree: Tree, start: Array) -> tuple[Array, Array]:
     """Return mean (T, n) and weight (n,) of the prior of every unknown."""
     mean = np.zeros_like(start)
     sigma = np.full(start.shape[1], WIDE_RAD)
@@ -335,13 +349,14 @@ class LeastSquaresSolver:
         require_world_metres(track)
         found = fit_track(track, subject.stature)
         if found is None:
-            return _nothing(track)
+            return fit_nothing(track)
         angles, unseen = read_angles(track, found.clip, found.seen)
-        body = _make_body(track, found)
-        return KinematicFit(angles, body, tuple(_warn(track, found, subject, body, unseen)))
+        body = make_body(track, found)
+        return KinematicFit(angles, body, tuple(warn_of_fit(track, found, subject, body, unseen)))
 
 
-def _nothing(track: PoseTrack) -> KinematicFit:
+def fit_nothing(track: PoseTrack) -> KinematicFit:
+    """Return a fit without angles, saying why."""
     angles = JointAngles(track.time_s, np.full((track.n_frames, len(ANGLES)), np.nan), ANGLES)
     warning = (
         f"No frame shows {MIN_POINTS} joints of the person, so there are no joint angles; film "
@@ -350,7 +365,7 @@ def _nothing(track: PoseTrack) -> KinematicFit:
     return KinematicFit(angles, None, (warning,))
 
 
-def _make_body(track: PoseTrack, found: TrackFit) -> BodyFit:
+def make_body(track: PoseTrack, found: TrackFit, made_by: str = "least-squares") -> BodyFit:
     """Put the figure's points into the track's skeleton, with their distance from the keypoints."""
     skeleton = get_skeleton(track.skeleton)
     problem = found.clip.problem
@@ -373,7 +388,7 @@ def _make_body(track: PoseTrack, found: TrackFit) -> BodyFit:
             "m",
             "world",
             track.skeleton,
-            provenance={"made_by": LeastSquaresSolver.info.name},
+            provenance={"made_by": made_by},
         ),
         residual_m=_mean_known(distance),
         segment_lengths_m=found.lengths.as_dict(),
@@ -389,7 +404,7 @@ def _mean_known(values: Array) -> Array:
     return np.asarray(mean)
 
 
-def _warn(
+def warn_of_fit(
     track: PoseTrack, found: TrackFit, subject: Subject, body: BodyFit, unseen: tuple[str, ...]
 ) -> Iterator[str]:
     """Say in plain words what makes these angles less certain."""
