@@ -225,8 +225,11 @@ class Bundle:
         rows, _, _ = self._evaluate(state, linear=False)
         return rows
 
-    def _evaluate(self, state: BundleState, *, linear: bool) -> tuple[Array, Array, Array]:
+    def linearise(self, state: BundleState) -> tuple[Array, Array, Array]:
         """Return residuals (F, R), derivatives by points (F, R, 3J) and by shared (F, R, G)."""
+        return self._evaluate(state, linear=True)
+
+    def _evaluate(self, state: BundleState, *, linear: bool) -> tuple[Array, Array, Array]:
         frames = self.n_frames
         rows = np.zeros((frames, _N_ROWS))
         by_points = np.zeros((frames, _N_ROWS, 3 * _J) if linear else (0, 0, 0))
@@ -307,7 +310,9 @@ class Bundle:
         linear: bool,
     ) -> None:
         """Compare depths behind the hips with the networks' own; these may lean as a whole."""
+        # Landmarks were scaled to the stature, so they grow with it.
         body = np.nan_to_num(self.priors.body)
+        body = body * np.exp(state.shared[SPAN]) / self.priors.stature_m
         joint = np.arange(_J)
         for v, points in enumerate(seen):
             middle = points[:, _HIPS, 2].mean(axis=1, keepdims=True)
@@ -323,6 +328,7 @@ class Bundle:
                 for hip in _HIPS:
                     by_points[:, row, 3 * hip + k] -= 0.5 * axis[k]
             by_shared[:, row, PITCH.start + v] = -body[v, ..., 1]
+            by_shared[:, row, SPAN] = -told
             if v:
                 lever = points - points[:, _HIPS].mean(axis=1, keepdims=True)
                 by_shared[:, row, ROTATION] = np.cross(lever, [0.0, 0.0, 1.0])
@@ -363,7 +369,6 @@ class Bundle:
     def prior_rows(self, state: BundleState) -> tuple[Array, Array]:
         """Return the residuals of what is known beforehand (P,) and their derivatives (P, G)."""
         priors, shared = self.priors, state.shared
-        share = np.array([row[3] for row in LINK_KINDS]) * priors.stature_m
         stature = np.hypot(priors.stature_sigma_m / priors.stature_m, SPAN_SIGMA)
         lean = LEAN_SIGMA_M if self.evidence.has_upright else BENT_LEAN_SIGMA_M
         plain = (
@@ -373,13 +378,18 @@ class Bundle:
             (LEAN, shared[LEAN], [lean] * 2),
             (FOOT, shared[FOOT], [FOOT_SIGMA_M] * 4),
             (PITCH, shared[PITCH], [BODY_PITCH_SIGMA] * 2),
-            (LENGTH, shared[LENGTH] - np.log(share), [row[4] for row in LINK_KINDS]),
             (OFFSET, shared[OFFSET], np.ones(4 * _J)),
         )
         values, jacobian = [], []
         for where, value, sigma in plain:
             values.append(value / np.asarray(sigma))
             jacobian.append(np.eye(N_SHARED)[where] / np.asarray(sigma)[:, None])
+        # Shares of whatever the stature turns out to be: they must not tell it.
+        share, sigma = (np.array([row[i] for row in LINK_KINDS]) for i in (3, 4))
+        values.append((shared[LENGTH] - np.log(share) - shared[SPAN]) / sigma)
+        by_length = np.eye(N_SHARED)[LENGTH]
+        by_length[:, SPAN] = -1.0
+        jacobian.append(by_length / sigma[:, None])
         level = self._level_rows(state)
         return np.concatenate([*values, level[0]]), np.concatenate([*jacobian, level[1]])
 
@@ -416,7 +426,7 @@ class Bundle:
 
     def step_system(self, state: BundleState) -> _Normal:
         """Linearise at a state."""
-        rows, by_points, by_shared = self._evaluate(state, linear=True)
+        rows, by_points, by_shared = self.linearise(state)
         square, size = _group_squares(rows)
         nu = _DEGREES_OF_FREEDOM
         weight = np.sqrt((nu + size) / (nu + square) / FRAMES_ALIKE)
@@ -471,10 +481,10 @@ class _Normal:
     def solve(self, damping: float) -> tuple[Array, Array]:
         """Return the steps of the shared unknowns (G,) and of the points (F, J, 3)."""
         inverse_cross, inverse_right, reduced = self._eliminate(damping)
-        right = self.shared_right - np.einsum("fpg,fp->g", self.cross, inverse_right)
-        step = np.linalg.solve(reduced, right)
+        right = self.shared_right - self.cross.reshape(-1, N_SHARED).T @ inverse_right.reshape(-1)
+        step = np.asarray(np.linalg.solve(reduced, right))
         points = inverse_right - inverse_cross @ step
-        return step, points.reshape(len(points), _J, 3)
+        return step, np.asarray(points.reshape(len(points), _J, 3))
 
     def solve_points(self) -> Array:
         """Return the steps of the points (F, J, 3) while the shared unknowns stay."""
@@ -489,11 +499,8 @@ class _Normal:
         blocks[:, index, index] += damping * blocks[:, index, index] + 1e-4
         joined = np.concatenate([self.cross, self.points_right[..., None]], axis=2)
         solved = np.linalg.solve(blocks, joined)
-        reduced = self.shared - np.einsum(
-            "gp,ph->gh",
-            self.cross.transpose(2, 0, 1).reshape(N_SHARED, -1),
-            solved[..., :-1].reshape(-1, N_SHARED),
-        )
+        follow = solved[..., :-1].reshape(-1, N_SHARED)
+        reduced = self.shared - self.cross.reshape(-1, N_SHARED).T @ follow
         index = np.arange(N_SHARED)
         reduced[index, index] += damping * self.shared[index, index] + 1e-9
         return solved[..., :-1], solved[..., -1], reduced

@@ -59,6 +59,11 @@ def body_in_camera(evidence: Evidence, matrices: Array, stature_m: float) -> tup
     for v, metric in enumerate(evidence.body):
         rays = _rays(evidence.pixels[v], matrices[v])
         pelvis = rays[:, _HIPS].mean(axis=1)
+        if not np.isfinite(metric).any():
+            # Without landmarks the person is as far away as the stature looks small.
+            body.append(np.full(metric.shape, np.nan))
+            middle.append(pelvis * stature_m * matrices[v, 1, 1] / evidence.height_px[v])
+            continue
         turned = _turn_to_camera(metric, pelvis) * _body_scale(metric, stature_m)
         flat = turned[..., :2] - turned[:, _HIPS, :2].mean(axis=1, keepdims=True)
         seen = rays[..., :2] - pelvis[:, None, :2]

@@ -38,6 +38,7 @@ from engine.cameras._person import (
     shared_joints,
 )
 from engine.cameras._starts import body_in_camera, list_starts
+from engine.cameras._witness import miss_by_shift
 from engine.cameras.monocular import FLOOR_SIGMA_M, assumed_camera_matrix
 from engine.datatypes import Array, Calibration, Camera, Measurement, ViewPose
 from engine.errors import CalibrationError
@@ -55,8 +56,9 @@ LEAST_MOTION = 0.02
 """Share of the height by which joints must move against each other."""
 RAY_ANGLE_DEG = (15.0, 150.0)
 LARGEST_MISFIT = 0.022
-"""Typical distance in the picture, as a share of the person's height, beyond which the views do not
-show one person at one time."""
+LARGEST_MISS_OVER_TIME = 0.016
+"""Typical distance of joints in the pictures, and by how much it changes over time: shares of the
+person's height beyond which the views do not show one person at one time."""
 LARGEST_ROTATION_SIGMA_DEG = 6.0
 CENTRE_SIGMA = 0.01
 """Standard error of an assumed principal point, as a share of the longer side."""
@@ -133,7 +135,9 @@ def calibrate_from_person(
     )
     evidence, solution, name = _solve(evidence, priors, middle)
     _refuse_doubtful(evidence, solution)
-    return _describe(views, evidence, priors, solution, known, name)
+    found = _describe(views, evidence, priors, solution, known, name)
+    _refuse_other_movement(everything, found)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,11 +290,7 @@ def _refuse_doubtful(evidence: Evidence, solution: Solution) -> None:
     """Refuse what the data contradict or do not tell."""
     misfit = _misfit(evidence, solution)
     if misfit > LARGEST_MISFIT:
-        raise CalibrationError(
-            "The two videos can't show the same person at the same time: seen together, joints are "
-            f"off by {100 * misfit:.1f} % of the height; check that both are of the same lift and "
-            "synchronised."
-        )
+        raise CalibrationError(_not_the_same(misfit))
     angle = _ray_angle_deg(solution.state)
     if angle < RAY_ANGLE_DEG[0]:
         raise CalibrationError(
@@ -310,11 +310,31 @@ def _refuse_doubtful(evidence: Evidence, solution: Solution) -> None:
         )
 
 
+def _refuse_other_movement(everything: Evidence, found: Calibration) -> None:
+    """Refuse views whose lines of sight meet at some times but not at others."""
+    miss = float(miss_by_shift(everything, found.cameras, (0,), is_robust=True)[0])
+    if miss > LARGEST_MISS_OVER_TIME:
+        raise CalibrationError(_not_the_same(miss))
+
+
+def _not_the_same(miss: float) -> str:
+    return (
+        "The two videos can't show the same person at the same time: seen together, joints are "
+        f"off by {100 * miss:.1f} % of the height; check that both are of the same lift and "
+        "synchronised."
+    )
+
+
 def _misfit(evidence: Evidence, solution: Solution) -> float:
-    """Return the typical distance in the pictures of confident joints, as a share of the height."""
+    """Return the typical distance in the pictures of confident joints, as a share of the height.
+
+    The median over the frames, so that a few with exchanged sides don't count, then the mean
+    over the joints.
+    """
     share = solution.residual_px / evidence.height_px[:, None, None]
     seen = shared_joints(evidence, confidence=0.5)
-    return float(np.sqrt(np.mean(np.nanmean(share[:, seen] ** 2, axis=0)))) if seen.any() else 0.0
+    shown = np.where(seen, share, np.nan)[:, :, seen.sum(axis=0) >= 5]
+    return float(np.mean(np.nanmedian(shown, axis=1))) if shown.size else 0.0
 
 
 def _ray_angle_deg(state: BundleState) -> float:
