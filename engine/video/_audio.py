@@ -3,8 +3,8 @@
 Two microphones hear the same knocks and voices, through other rooms and at other loudness. What
 they share best is WHEN something starts in each band of pitch, so onsets are correlated; the peak
 between two hops of 10 ms tells the lag within some ms. (The whitened phase of the sounds was tried
-as a finer step: the echoes of two rooms made the lag worse.) Sound needs 3 ms per metre, so a lag is
-never surer than the unknown distances to the source.
+as a finer step: the echoes of two rooms made the lag worse.) Sound needs 3 ms per metre, so a lag
+is never surer than the unknown distances to the source.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ __all__ = [
     "resample_views",
 ]
 
-EVIDENCE: Final = (-18.08, -4.18, 1.93, -14.18)
+EVIDENCE: Final = (-26.03, -5.56, 3.48, -22.8)
 """Constant, scatter, number of parts and lack of correlation: logistic regression in
 `_weigh_evidence`, fitted on true and false pairs of synthetic training lifts and of made figures
 (``benchmarks/sync.py --fit``)."""

@@ -41,7 +41,7 @@ def turn_picture(view: ViewPose) -> ViewPose:
     return clips.replace_arrays(view, np.stack([720 - y, x], axis=2), box)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 59.94])
 def test_offset_is_found_within_a_third_of_a_picture_at_any_rate(seed: int, rate: float) -> None:
     world = make_lift(seed)
@@ -114,7 +114,7 @@ def test_ten_seconds_are_found_in_ten_minutes() -> None:
 
 def test_two_lifts_are_refused() -> None:
     levels = []
-    for seed in range(20):
+    for seed in range(12):
         first = film(make_lift(seed), SIDE, frames(0.0, 7.0))
         second = film(make_lift(seed + 100), OBLIQUE, frames(0.0, 7.0), seed=2)
         estimate = estimate_offset(first, second)
@@ -123,7 +123,7 @@ def test_two_lifts_are_refused() -> None:
             with pytest.raises(SyncError, match="--sync"):
                 require_sure(estimate)
     assert CheckLevel.GREEN not in levels
-    assert levels.count(CheckLevel.RED) >= 18
+    assert levels.count(CheckLevel.RED) >= 10
 
 
 def test_parts_without_overlap_are_refused() -> None:
@@ -190,12 +190,12 @@ def test_lifts_that_repeat_exactly_are_ambiguous() -> None:
 
 
 def test_the_interval_holds_the_truth() -> None:
-    """Of 40 lifts the stated 95 % intervals hold at least 34 (fewer has a chance of 1 in 100)."""
+    """Of 24 lifts the stated 95 % intervals hold at least 20 (fewer has a chance of 1 in 160)."""
     inside = 0
-    for seed in range(40):
+    for seed in range(24):
         estimate = estimate_offset(*film_both(200 + seed, 0.7))
         inside += abs(estimate.offset_s - 0.7) <= 1.96 * estimate.sigma_s
-    assert inside >= 34
+    assert inside >= 20
 
 
 def test_known_cameras_sharpen_the_offset() -> None:
