@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from engine.datatypes import Lift, Provenance, RiskResult, Subject
+from engine.datatypes import Lift, Provenance, RiskResult
 from engine.ergonomics.base import Exposure, MethodInfo, RiskLevel
 from engine.ergonomics.methods.rnle import (
     ASSUMED_FREQUENCY_PER_MIN,
     DOUBTFUL_CONDITIONS,
     FREQUENCY_WINDOW_S,
+    find_child_doubts,
 )
 
 __all__ = [
@@ -28,8 +29,6 @@ __all__ = [
 ASSUMED_DURATION_H = 1.0
 DEMANDING_PER_DAY = 480.0
 """One lift a minute through a day of 8 h: shows what an assumption of rare lifting hides."""
-ADULT_AGE_Y = 18.0
-ADULT_STATURE_M = 1.40
 
 
 @dataclass(frozen=True)
@@ -92,15 +91,6 @@ def list_doubts(exposure: Exposure, lift: Lift | None = None) -> list[str]:
     keys = (*exposure.conditions, *(lift.notes if lift else ()))
     doubts = [DOUBTFUL_CONDITIONS[key] for key in keys if key in DOUBTFUL_CONDITIONS]
     return list(dict.fromkeys([*doubts, *find_child_doubts(exposure.subject)]))
-
-
-def find_child_doubts(subject: Subject) -> list[str]:
-    """Say that a method's numbers are those of adults, where the person seems to be a child."""
-    is_child = subject.age_y is not None and subject.age_y < ADULT_AGE_Y
-    is_small = subject.stature_m is not None and subject.stature_m < ADULT_STATURE_M
-    if not (is_child or is_small):
-        return []
-    return ["the method is made for adults; the person's age or stature is that of a child"]
 
 
 def classify(levels: Sequence[RiskLevel], value: float) -> RiskLevel | None:

@@ -15,7 +15,7 @@ from engine.ergonomics.base import Exposure, MethodInfo, RiskLevel
 from engine.ergonomics.lifting_equation import METRIC
 from engine.ergonomics.methods.rnle import LEVELS as RNLE_LEVELS
 from engine.ergonomics.methods.rnle import METHOD as RNLE
-from engine.ergonomics.work import classify, combine_lifts, find_child_doubts, refuse
+from engine.ergonomics.work import classify, combine_lifts, refuse
 
 __all__ = ["LEVELS", "METHOD", "find_reference_mass"]
 
@@ -106,7 +106,7 @@ class Iso11228:
         value = part.value / ratio
         level = classify(LEVELS, value)
         limit = part.details["rwl_kg"] * ratio
-        doubts = [*part.details["doubts"], *find_child_doubts(subject)]
+        doubts = list(part.details["doubts"])
         assumptions = [*notes, *part.details["assumptions"]]
         unknown_load = "The load is not given: the limit, but no index."
         reasons = () if exposure.task.load_kg is not None else (unknown_load,)

@@ -103,6 +103,7 @@ CARRY_KG: Mapping[Sex, tuple[float, float]] = {"female": (28.6, 0.231), "male": 
 H_LIMITS_M: Mapping[Sex, tuple[float, float]] = {"female": (0.20, 0.68), "male": (0.25, 0.73)}
 ARM_REACH_M: Mapping[Sex, float] = {"female": 1.96, "male": 2.14}
 MIN_DV_M = 0.25
+DAY_H = 8.0
 F_LIMITS = (1.0 / 480.0, 20.0)
 TRAVEL_RATE = (3.0, 11.0)
 """Vertical travel a minute (m/min) above which care is needed, and above which nothing holds."""
@@ -379,6 +380,9 @@ def _list_notes(
     angles = (lift.origin.A_deg.value, lift.destination.A_deg.value)
     if max(angles) > 30.0:
         doubts.append("the load is more than 30 degrees to the side, where the equations end")
+    hours = exposure.task.duration_h
+    if hours is not None and hours > DAY_H:
+        doubts.append(f"the work lasts {hours:g} h; the equations are for a day of {DAY_H:g} h")
     if case.travel * case.frequency > TRAVEL_RATE[0]:
         doubts.append("the load travels more than 3 m up or down a minute, where care is advised")
     if not all(math.isfinite(item.sigma) for item in (case.H, *case.V)):

@@ -23,6 +23,7 @@ from engine.datatypes import (
     Provenance,
     RiskInput,
     RiskResult,
+    Subject,
     Task,
 )
 from engine.ergonomics.base import Exposure, MethodInfo, RiskLevel
@@ -44,7 +45,15 @@ from engine.ergonomics.lifting_equation import (
 )
 from engine.ergonomics.propagation import compute_interval, compute_shares, draw_inputs
 
-__all__ = ["LEVELS", "METHOD", "NIOSH_LIMITS", "classify", "compute_rwl", "read_case"]
+__all__ = [
+    "LEVELS",
+    "METHOD",
+    "NIOSH_LIMITS",
+    "classify",
+    "compute_rwl",
+    "find_child_doubts",
+    "read_case",
+]
 
 NIOSH_LIMITS = (1.0, 3.0)
 """The only two limits NIOSH itself sets: above the first some, above the second nearly all
@@ -102,6 +111,19 @@ DOUBTFUL_CONDITIONS: Mapping[str, str] = {
 }
 
 
+ADULT_AGE_Y = 18.0
+ADULT_STATURE_M = 1.40
+
+
+def find_child_doubts(subject: Subject) -> list[str]:
+    """Say that a method's numbers are those of adults, where the person seems to be a child."""
+    is_child = subject.age_y is not None and subject.age_y < ADULT_AGE_Y
+    is_small = subject.stature_m is not None and subject.stature_m < ADULT_STATURE_M
+    if not (is_child or is_small):
+        return []
+    return ["the method is made for adults; the person's age or stature is that of a child"]
+
+
 def classify(lifting_index: float) -> RiskLevel | None:
     """Return the band of a lifting index; None where it is not known."""
     return next((level for level in LEVELS if lifting_index <= level.upper), None)
@@ -143,6 +165,7 @@ def _read_work(exposure: Exposure) -> _Work:
     known = {**REFUSED_CONDITIONS, **DOUBTFUL_CONDITIONS}
     doubts = [DOUBTFUL_CONDITIONS[c] for c in exposure.conditions if c in DOUBTFUL_CONDITIONS]
     doubts += [f"noted while measuring: {c}" for c in exposure.conditions if c not in known]
+    doubts += find_child_doubts(exposure.subject)
     user, assumed = Provenance.USER, Provenance.ASSUMED
     return _Work(
         load_kg=task.load_kg,
