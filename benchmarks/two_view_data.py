@@ -69,6 +69,13 @@ def read_true_joints(folder: Path, time_s: Array) -> Array:
     return np.stack([np.interp(time_s, known_s, c) for c in flat.T], axis=1).reshape(-1, 12, 3)
 
 
+def read_pelvic_hip_flexion(folder: Path) -> dict[str, Array]:
+    """Read the true hip flexion against the pelvis, which solvers with a body model give."""
+    with np.load(folder / "truth.npz", allow_pickle=False) as data:
+        names, angles = list(data["angle_names"]), data["angles"].astype(float)
+    return {k: angles[:, names.index(k)] for k in ("hip_flexion_l", "hip_flexion_r")}
+
+
 def true_shoulder_flexion(joints: Array) -> dict[str, Array]:
     """Return the product's shoulder flexion (T,) of both sides, of true joints (T, 12, 3)."""
     point = dict(zip(JOINTS, np.moveaxis(joints, 1, 0), strict=True))

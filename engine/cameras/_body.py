@@ -206,8 +206,8 @@ def picture_terms(
                 (camera.rotation[axis, i] - at * camera.rotation[2, i]) * per_metre
                 for i in range(3)
             ]
-            for (i, j), product in products.items():
-                product += row[i] * row[j]
+            for i, j in products:
+                products[i, j] += row[i] * row[j]
             for i in range(3):
                 gradient[..., i] += error * row[i]
             miss += error**2

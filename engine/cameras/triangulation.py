@@ -59,8 +59,8 @@ LARGEST_SIGMA_M = 0.35
 """Beyond this a joint counts as missing: it could be anywhere on the body."""
 
 DEFINITION_SHARE: Mapping[str, float] = {
-    "hip": 0.018,
-    "shoulder": 0.014,
+    "hip": 0.024,
+    "shoulder": 0.016,
     "elbow": 0.008,
     "wrist": 0.006,
     "knee": 0.009,

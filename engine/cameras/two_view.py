@@ -57,6 +57,9 @@ HEADING_FRAMES = 30
 SURE = 0.8
 EQUAL_SHARE = 1.5
 """Up to this ratio errors along and across the first line of sight count as equal."""
+HAND_DEFINITION_SHARE = 0.014
+"""How far an estimator's knuckles and ankles lie from where hands hold and feet stand, as a share
+of stature per axis; what lengths between hands and feet have beyond the joints' own errors."""
 MEASURED_PARTS = ("wrist", "ankle", "knee", "elbow")
 
 
@@ -345,7 +348,9 @@ def _describe_scene(
 ) -> WorldScene:
     camera = calibration.cameras[0]
     centre = camera_centre(camera)
-    plane, depth = _typical_errors(found, covariance, points, centre)
+    errors = _typical_errors(found, covariance, points, centre)
+    definition = HAND_DEFINITION_SHARE * stature.value
+    plane, depth = (float(np.hypot(error, definition)) for error in errors)
     measured = _measure_stature(points, upright, get_skeleton(found.track.skeleton))
     angle = _ray_angle_deg(calibration.cameras, points)
     provenance: dict[str, Any] = {

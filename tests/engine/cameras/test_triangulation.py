@@ -11,7 +11,7 @@ from engine.cameras.triangulation import Triangulation, triangulate, triangulate
 from engine.datatypes import Array, Camera, Status, ViewPose
 from engine.errors import CalibrationError, DataError
 from engine.optics import camera_centre, project
-from engine.skeletons import MEDIAPIPE_33
+from engine.skeletons import H36M_17, MEDIAPIPE_33
 from tests.engine.cameras.truth import NAMES, Truth, make_view, place_camera, read_truth, see
 
 COLUMN = {name: i for i, name in enumerate(NAMES)}
@@ -20,7 +20,6 @@ JOINTS = [
     for side in ("left", "right")
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 ]
-# Where the truth has one point for several landmarks they coincide: nothing to triangulate apart.
 ORDER = list(MEDIAPIPE_33.mirror_order)
 
 
@@ -47,9 +46,13 @@ def with_image(
     return make_view(image, body, time_s, view.info.size_px, confidence=confidence)
 
 
+def errors_of(found: Triangulation, points: Array) -> Array:
+    return np.linalg.norm(np.asarray(found.track.position) - points, axis=2)
+
+
 def errors(found: Triangulation, lift: Truth) -> Array:
     """Return the distances from the truth, shape (T, K), m."""
-    return np.linalg.norm(np.asarray(found.track.position) - lift.points, axis=2)
+    return errors_of(found, lift.points)
 
 
 def distort(camera: Camera) -> Camera:
@@ -324,6 +327,66 @@ def test_the_choice_of_world_does_not_matter(turn, shift):
     assert there == pytest.approx(here @ rotation.T + np.array(shift), abs=1e-5)
     assert turned == pytest.approx(rotation @ covariance @ rotation.T, rel=1e-3, abs=1e-8)
     assert again == pytest.approx(miss, rel=1e-3, abs=1e-6)
+
+
+class TestOtherInput:
+    def test_an_estimator_without_landmarks_in_metres(self, lift, cameras, views):
+        bare = [
+            make_view(np.asarray(v.image.position), None, lift.time_s, v.info.size_px)
+            for v in views
+        ]
+        image = np.array(bare[0].image.position)
+        image[60:90, COLUMN["right_wrist"]] = np.nan
+        bare[0] = make_view(image, None, lift.time_s, bare[0].info.size_px)
+        found = triangulate(bare, cameras, stature_m=lift.stature_m)
+        assert np.median(errors(found, lift)[:, JOINTS]) < 0.006
+        # The forearm's length alone still tells where along the line the wrist can be.
+        part = (slice(60, 90), COLUMN["right_wrist"])
+        assert np.isfinite(found.track.position[part]).all()
+        assert np.median(errors(found, lift)[part]) < 0.15
+
+    def test_another_skeleton(self, lift, cameras):
+        names = H36M_17.keypoints
+        kept = {n: COLUMN[n] for n in names if n in COLUMN}
+        middle = {
+            "pelvis": ("left_hip", "right_hip"),
+            "spine": ("left_hip", "right_shoulder"),
+            "thorax": ("left_shoulder", "right_shoulder"),
+            "head": ("left_ear", "right_ear"),
+        }
+        points = np.stack(
+            [
+                lift.points[:, kept[n]]
+                if n in kept
+                else lift.points[:, [COLUMN[m] for m in middle[n]]].mean(axis=1)
+                for n in names
+            ],
+            axis=1,
+        )
+        views = []
+        for camera in cameras:
+            view = make_view(project(camera, points), None, lift.time_s, camera.size_px)
+            views.append(replace(view, image=replace(view.image, skeleton="h36m_17")))
+        found = triangulate(views, cameras, stature_m=lift.stature_m)
+        distance = np.linalg.norm(np.asarray(found.track.position) - points, axis=2)
+        assert np.median(distance) < 0.006
+        assert np.isfinite(distance).all()
+
+    @pytest.mark.parametrize("count", [1, 2, 3])
+    def test_very_short_clips(self, lift, cameras, count):
+        views = [see(lift.points[:count], c, lift.time_s[:count]) for c in cameras]
+        found = triangulate(views, cameras, stature_m=lift.stature_m)
+        assert np.nanmax(errors_of(found, lift.points[:count])[:, JOINTS]) < 0.06
+
+    def test_long_clips_solved_in_pieces_agree_with_the_whole(
+        self, lift, cameras, views, monkeypatch
+    ):
+        from engine.cameras import _body
+
+        whole = triangulate(views, cameras, stature_m=lift.stature_m)
+        monkeypatch.setattr(_body, "FRAMES_AT_ONCE", 50)
+        pieces = triangulate(views, cameras, stature_m=lift.stature_m)
+        assert pieces.track.position == pytest.approx(np.asarray(whole.track.position), abs=2e-3)
 
 
 class TestPoints:
