@@ -62,7 +62,8 @@ CAMERA_HEIGHT_M = (0.05, 6.0)
 SHIFT_GAIN = Limits(0.05, 0.30)
 TILT_SIGMA_DEG = Limits(5.0, 20.0)
 
-NEW_CALIBRATION = "Calibrate again, or let the cameras be found from the moving person."
+OTHER_WAY = "Calibrate again, or let the cameras be found from the moving person."
+BETTER_FILM = "Film a larger movement, whole in both pictures, or calibrate with a board."
 
 
 def check_calibration(
@@ -101,11 +102,11 @@ def check_calibration(
     witness = bear_witness(views, calibration)
     if not witness.seen.any(axis=1).sum() >= 5:
         return (_never_seen(),)
-    return (
-        *_check_cameras(calibration, witness),
+    checks = (
+        *_check_cameras(calibration),
         _check_front(witness),
-        _check_miss(witness),
         _check_mirror(witness),
+        _check_miss(witness),
         _check_ray_angle(witness),
         _check_stature(witness, calibration, stature),
         *_check_ground(calibration, witness),
@@ -113,6 +114,9 @@ def check_calibration(
         _check_spread(witness),
         *_check_time(views, calibration),
     )
+    if calibration.source == "person":
+        return tuple(replace(c, action=c.action.replace(OTHER_WAY, BETTER_FILM)) for c in checks)
+    return checks
 
 
 def summarise_checks(checks: Sequence[CalibrationCheck]) -> CalibrationCheck:
@@ -167,7 +171,7 @@ def _check_sizes(views: Sequence[ViewPose], calibration: Calibration) -> Iterato
         )
 
 
-def _check_cameras(calibration: Calibration, witness: Witness) -> Iterator[CalibrationCheck]:
+def _check_cameras(calibration: Calibration) -> Iterator[CalibrationCheck]:
     """Check what each camera says of itself: its field of view, and where it stands."""
     for camera in calibration.cameras:
         side = max(camera.size_px)
@@ -177,7 +181,7 @@ def _check_cameras(calibration: Calibration, witness: Witness) -> Iterator[Calib
             key="field_of_view",
             level=level,
             sentence=f"Camera {camera.name!r} sees {field:.0f} degrees along the longer side"
-            + (", as phones do." if level is CheckLevel.GREEN else "; phones see 55 to 80."),
+            + ("." if level is CheckLevel.GREEN else "; phones see 55 to 80."),
             action="" if level is CheckLevel.GREEN else "Check the focal length and its unit (px).",
             value=field,
             unit="deg",
@@ -220,7 +224,7 @@ def _check_front(witness: Witness) -> CalibrationCheck:
     else:
         sentence = f"{100 * behind:.0f} % of the joints would lie behind a camera."
         action = "Check that each video has its own camera, and the axes of the file. "
-        action += NEW_CALIBRATION
+        action += OTHER_WAY
     return CalibrationCheck("in_front", level, sentence, action, 100.0 * behind, "%")
 
 
@@ -231,14 +235,14 @@ def _check_miss(witness: Witness) -> CalibrationCheck:
     if not math.isfinite(share):
         sentence, action = (
             "The lines of sight do not meet in front of the cameras.",
-            NEW_CALIBRATION,
+            OTHER_WAY,
         )
     elif level is CheckLevel.GREEN:
         sentence, action = f"The lines of sight meet: joints are off by {size}.", ""
     else:
         sentence = f"The lines of sight miss each other: joints are off by {size}."
         action = "A camera was moved or its lens changed after calibrating, or the videos are not "
-        action += f"synchronised. {NEW_CALIBRATION}"
+        action += f"synchronised. {OTHER_WAY}"
     return CalibrationCheck("reprojection", level, sentence, action, 100.0 * share, "%")
 
 
@@ -256,7 +260,7 @@ def _check_mirror(witness: Witness) -> CalibrationCheck:
     else:
         sentence = "The world is mirrored in depth: what is near comes out far."
         action = "The videos or the cameras are probably exchanged: exchange them. "
-        action += f"Otherwise: {NEW_CALIBRATION}"
+        action += f"Otherwise: {OTHER_WAY}"
         if level is CheckLevel.AMBER:
             sentence = "Depths agree poorly with what each view alone shows."
     return CalibrationCheck("mirror", level, sentence, action, agreement, "")
@@ -288,7 +292,7 @@ def _check_stature(
         action = "Film a second of upright standing."
     elif level is not CheckLevel.GREEN:
         action = f"Lengths are off by {abs(off):.0f} %: check the stature, the size of the board's "
-        action += f"squares or of the known points, and the focal length. {NEW_CALIBRATION}"
+        action += f"squares or of the known points, and the focal length. {OTHER_WAY}"
     return CalibrationCheck("stature", level, sentence, action, off, "%")
 
 
@@ -326,7 +330,7 @@ def _check_gravity(up: Array, calibration: Calibration, witness: Witness) -> Cal
     else:
         sentence = f"The standing person leans {off:.0f} degrees against the calibration's up."
         action = "Check that the camera or the board's floor picture was not moved. "
-        action += NEW_CALIBRATION
+        action += OTHER_WAY
     return CalibrationCheck("gravity", level, sentence, action, off, "deg")
 
 
@@ -359,7 +363,7 @@ def _check_sides(witness: Witness) -> CalibrationCheck:
     if not math.isfinite(share):
         sentence, action = "The legs are not seen enough to compare them.", "Film the whole person."
     elif level is not CheckLevel.GREEN:
-        action = f"One side is pulled in depth. {NEW_CALIBRATION}"
+        action = f"One side is pulled in depth. {OTHER_WAY}"
     return CalibrationCheck("sides", level, sentence, action, share, "%")
 
 
@@ -372,7 +376,7 @@ def _check_spread(witness: Witness) -> CalibrationCheck:
         sentence, action = "The legs are not seen enough to measure them.", "Film the whole person."
     elif level is not CheckLevel.GREEN:
         sentence = f"Thighs and shanks change their length by {share:.0f} % as the person moves."
-        action = f"Check that the videos are synchronised. {NEW_CALIBRATION}"
+        action = f"Check that the videos are synchronised. {OTHER_WAY}"
     return CalibrationCheck("lengths", level, sentence, action, share, "%")
 
 

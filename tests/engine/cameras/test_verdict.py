@@ -177,6 +177,14 @@ def test_an_assumed_stature_proves_nothing_wrong():
     assert {c.key: c.level for c in checks}["stature"] is GREEN
 
 
+def test_advice_fits_where_the_calibration_comes_from():
+    turned_away = right(CAMERAS[0], turned(CAMERAS[1], 8.0, 0.0, 0.0))
+    assert "found from the moving person" in check(turned_away)["reprojection"].action
+    from_person = check(replace(turned_away, source="person"))["reprojection"].action
+    assert "found from the moving person" not in from_person
+    assert "larger movement" in from_person
+
+
 def test_a_person_seen_by_one_camera_only_is_named():
     first, second = views()
     hidden = replace(second.image, confidence=np.zeros_like(second.image.confidence))
