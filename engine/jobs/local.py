@@ -39,7 +39,7 @@ __all__ = ["JobQueue", "JobRequest", "JobState", "JobStatus", "default_workers"]
 logger = logging.getLogger(__name__)
 
 WORKER_COMMAND = (sys.executable, "-m", "engine.jobs.worker")
-STARTUP_GRACE_S = 30.0
+STARTUP_GRACE_S = 60.0
 """How long a new worker may take until it holds its lock."""
 CANCEL_GRACE_S = 10.0
 """How long a worker may take to stop by itself before it is killed."""
@@ -316,6 +316,7 @@ class JobQueue:
         folder = self.root / job.id
         try:
             folder.mkdir(exist_ok=True)
+            _let_go(folder)
             with (folder / "worker.log").open("ab") as log:
                 _children[folder] = subprocess.Popen(
                     [*self.command, str(folder)],
@@ -341,6 +342,17 @@ def _reap(folder: Path) -> int | None:
         return None
     _children.pop(folder, None)
     return child.returncode
+
+
+_leaving: list[subprocess.Popen[bytes]] = []
+"""Workers that have said how their job ended, but have not left yet."""
+
+
+def _let_go(folder: Path) -> None:
+    """Make room for another worker of a job."""
+    _leaving[:] = [child for child in _leaving if child.poll() is None]
+    if (child := _children.pop(folder, None)) is not None and child.poll() is None:
+        _leaving.append(child)
 
 
 def _require_videos(request: JobRequest) -> None:

@@ -1,8 +1,6 @@
 import os
 import signal
 import sys
-import time
-from pathlib import Path
 
 import pytest
 
@@ -13,31 +11,7 @@ from engine.jobs.local import JobQueue, JobRequest, JobState
 from engine.jobs.worker import find_fraction
 from engine.storage.library import Library
 from engine.storage.results import read_result
-
-COMMAND = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
-
-
-@pytest.fixture(autouse=True)
-def _import_path(monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
-
-
-@pytest.fixture
-def queue(tmp_path):
-    made = JobQueue(Library(tmp_path / "home"), max_workers=1, command=COMMAND)
-    yield made
-    for job in made.jobs():
-        made.cancel(job.id)
-        if job.pid and not job.state.is_over:
-            os.kill(job.pid, signal.SIGKILL)
-    wait_until(lambda: all(job.state.is_over for job in made.jobs()))
-
-
-def wait_until(condition, timeout_s=20.0):
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "waited too long"
-        time.sleep(0.02)
+from tests.engine.jobs.conftest import COMMAND, wait_until
 
 
 def wait_for(queue, job_id, *states):
@@ -164,9 +138,10 @@ def test_a_killed_worker_is_noticed_and_the_next_job_runs(queue, tmp_path):
     first = wait_for_stage(queue, victim, "pose").pid
     os.kill(first, signal.SIGKILL)
     # Most often the computer was switched off: it is tried once more, before those behind it.
-    wait_until(lambda: queue.read(victim).stage == "pose" and queue.read(victim).pid != first)
-    assert queue.read(victim).attempts == 2
-    os.kill(queue.read(victim).pid, signal.SIGKILL)
+    wait_until(lambda: (now := queue.read(victim)).stage == "pose" and now.pid not in (None, first))
+    second = queue.read(victim)
+    assert second.attempts == 2
+    os.kill(second.pid, signal.SIGKILL)
     status = wait_for(queue, victim, JobState.FAILED)
     assert "stopped 2 times without a word" in status.message
     assert wait_for(queue, heir, JobState.DONE).trial_id == heir
