@@ -6,6 +6,7 @@ Plain words for users; the field's terms stand in the help texts.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -302,10 +303,13 @@ def format_window(start_s: float, end_s: float) -> str:
     return f"{start_s:.1f} s to {end_s:.1f} s"
 
 
+DEGREES = re.compile(r"(?<=\d) deg(rees)?\b")
+
+
 def typeset(text: str) -> str:
     """Return plain-text arithmetic with its true signs."""
     text = text.replace(" -> ", " → ").replace(" x ", " × ").replace("(x ", "(×\u00a0")
-    return text.replace(" - ", " − ").replace(" deg", "°")
+    return DEGREES.sub("°", text.replace(" - ", " − "))
 
 
 def sentence(text: str) -> str:

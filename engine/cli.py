@@ -13,7 +13,7 @@ import functools
 import logging
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
@@ -29,7 +29,9 @@ from engine.cli_start import (
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from engine.cli_calibrate import CalibrateRequest
     from engine.cli_settings import AssessSettings
+    from engine.datatypes import ViewPose
     from engine.storage.library import Library
 
 __all__ = ["app", "main"]
@@ -452,6 +454,106 @@ def validate(
         is_quiet=bool(quiet),
     )
     run_validate(request, say=typer.echo, warn=lambda line: typer.echo(line, err=True))
+
+
+@app.command(short_help="Find out where two cameras stand.")
+@_one_sentence
+def calibrate(
+    videos: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[VIDEO VIDEO2]", help="Two videos, or two folders of photographs."),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help="board (a printed board), points (clicked points of known size) or person "
+            "(somebody who moves)."
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="The calibration file to write (.toml).")] = None,
+    board: Annotated[str, typer.Option(help="charuco or checkerboard.")] = "charuco",
+    columns: Annotated[int | None, typer.Option(help="Squares of the board across.")] = None,
+    rows: Annotated[int | None, typer.Option(help="Squares of the board down.")] = None,
+    square_mm: Annotated[float | None, _number_option("Side of a square, mm.")] = None,
+    marker_mm: Annotated[float | None, _number_option("Side of a marker, mm (charuco).")] = None,
+    dictionary: Annotated[str | None, typer.Option(help="Marker dictionary (charuco).")] = None,
+    floor_at: Annotated[
+        float | None, _number_option("Second of the first video at which the board lies flat.")
+    ] = None,
+    sync: Annotated[str, typer.Option(help="auto, or seconds between the videos.")] = "auto",
+    lenses: Annotated[
+        Path | None, typer.Option(help="Calibration file that the lenses are taken from.")
+    ] = None,
+    points: Annotated[Path | None, typer.Option(help="TOML file of clicked points.")] = None,
+    stature: Annotated[float | None, _number_option("The person's stature in metres.")] = None,
+    check: Annotated[
+        Path | None, typer.Option(help="Check this calibration; with videos, against the person.")
+    ] = None,
+    convert: Annotated[
+        Path | None, typer.Option(help="Write another program's calibration as LiftLens's own.")
+    ] = None,
+    print_board: Annotated[
+        Path | None, typer.Option(help="Draw a board to print (.png, .svg or .pdf).")
+    ] = None,
+    paper: Annotated[str, typer.Option(help="Paper of the board: a4, a3 or letter.")] = "a3",
+    quiet: Quiet = None,
+    debug: Debug = False,
+) -> None:
+    """Calibrate two cameras, or check, convert or print what belongs to it.
+
+    Exactly one of --method, --check, --convert and --print-board says what to do.
+    """
+    from engine.cli_calibrate import CalibrateRequest
+
+    request = CalibrateRequest(
+        videos=tuple(videos or ()),
+        method=method,
+        out=out,
+        board=board,
+        columns=columns,
+        rows=rows,
+        square_mm=square_mm,
+        marker_mm=marker_mm,
+        dictionary=dictionary,
+        floor_at_s=floor_at,
+        sync=sync,
+        lenses=lenses,
+        points=points,
+        stature_m=stature,
+        check=check,
+        convert=convert,
+        print_board=print_board,
+        paper=paper,
+    )
+    _calibrate(request, is_quiet=bool(quiet))
+
+
+def _calibrate(request: CalibrateRequest, *, is_quiet: bool) -> None:
+    from engine.cli_calibrate import run_calibrate
+    from engine.cli_output import show_progress, stop_on_signal
+    from engine.config import Config, TwoViewConfig
+    from engine.datatypes import View
+
+    lines: list[str] = []
+    try:
+        with (
+            show_progress(is_quiet=is_quiet or request.print_board is not None) as shown,
+            stop_on_signal(shown) as progress,
+        ):
+
+            def observe(videos: Sequence[Path]) -> Sequence[ViewPose]:
+                from engine.pipeline import observe_views
+
+                config = Config(two_view=TwoViewConfig(sync=request.sync))
+                return observe_views([View(video) for video in videos], config, progress)
+
+            run_calibrate(
+                request, observe=observe, progress=progress, say=lines.append, warn=lines.append
+            )
+    finally:
+        # What was found is said even when it is then refused.
+        if lines:
+            typer.echo("\n".join(lines))
 
 
 @app.command(short_help="Write a trial or a job as a PDF.")

@@ -189,6 +189,12 @@ def run_calibrate(
         say(line)
     for line in _describe_checks(checks):
         say(line)
+    wrong = next((check for check in checks if check.level is CheckLevel.RED), None)
+    if wrong is not None:
+        raise CalibrationError(
+            f"This calibration can't be trusted, so nothing was written. {wrong.sentence} "
+            f"{wrong.action}".rstrip()
+        )
     if request.out is not None:
         write_calibration(calibration, request.out)
         say(f"\nWritten: {request.out}")

@@ -6,18 +6,21 @@ import dataclasses
 import math
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from engine.cameras.files.own import format_calibration
 from engine.cameras.monocular import reconstruct_single_view
 from engine.config import Config
 from engine.correction.chain import correct_track, summarise_status
 from engine.datatypes import (
     JointAngles,
+    KinematicFit,
     PoseTrack,
     ProgressCallback,
     RiskResult,
@@ -34,19 +37,22 @@ from engine.ergonomics.flags import raise_flags
 from engine.errors import ConfigError, VideoError
 from engine.kinematics.events import LiftFindings, detect_lifts
 from engine.kinematics.fitting.base import add_scene_errors, select_solver
+from engine.kinematics.fusion import fuse_views
 from engine.pose.base import create_backend
 from engine.storage.atomic import scratch_folder
 from engine.storage.results import check_target, write_result
 from engine.subject.detector import PersonDetector
 from engine.subject.tracker import follow_person
 from engine.timing import NETWORK_CLOCK
+from engine.two_view import JoinedViews, check_files, join_views, synchronise
 from engine.version import __version__, list_versions
 from engine.video.overlay import write_overlay
 from engine.video.reader import probe_video, read_frames
 from engine.video.steadiness import CameraWatch
+from engine.video.sync import resample_views
 from engine.video.thumbnail import write_thumbnail
 
-__all__ = ["assess", "assess_pose", "assess_to_folder"]
+__all__ = ["assess", "assess_pose", "assess_poses", "assess_to_folder", "observe_views"]
 
 
 def assess(
@@ -82,29 +88,70 @@ def assess(
         If the video doesn't show enough of the person to find scale and direction.
     """
     config = config or Config()
-    if len(trial.views) != 1:
-        raise ConfigError("Assessing two views together is not available yet; give one video.")
     # Wrong names fail before the long work, not after it.
     select_solver(config.kinematics.solver)
     select_methods(config.risk.methods, experimental=config.risk.experimental)
+    if len(trial.views) == 2:
+        check_files(trial.views, config.two_view)
     start = time.perf_counter()
-    pose = estimate_view(trial.views[0], config, progress)
+    poses = tuple(
+        estimate_view(view, config, _share_of(progress, number, len(trial.views)))
+        for number, view in enumerate(trial.views)
+    )
     spent = time.perf_counter() - start
     progress("scene", 0, 0)
-    result = assess_pose(trial, pose, config)
-    timings = {"pose": spent, "networks": pose.model_time_s, **result.timings_s}
+    result = assess_poses(trial, poses, config)
+    networks_s = sum(pose.model_time_s for pose in poses)
+    timings = {"pose": spent, "networks": networks_s, **result.timings_s}
     return dataclasses.replace(result, timings_s=timings)
 
 
+def observe_views(
+    files: Sequence[View], config: Config, progress: ProgressCallback = ignore_progress
+) -> tuple[ViewPose, ...]:
+    """See one movement in two videos, and bring both to common times.
+
+    Raises
+    ------
+    SyncError
+        If it can't be told how their clocks belong together.
+    VideoError, NoPersonFound, BackendUnavailable
+        As `assess`.
+    """
+    check_files(files, config.two_view)
+    poses = [
+        estimate_view(view, config, _share_of(progress, number, len(files)))
+        for number, view in enumerate(files)
+    ]
+    with threadpool_limits(limits=1, user_api="blas"):
+        return resample_views(poses, synchronise(files, poses, config.two_view)).views
+
+
+def _share_of(progress: ProgressCallback, number: int, count: int) -> ProgressCallback:
+    """Report the work on one of several videos as a part of the whole."""
+
+    def report(stage: str, done: int, total: int) -> None:
+        progress(stage, done + number * total, count * total)
+
+    return report
+
+
 def assess_pose(trial: Trial, pose: ViewPose, config: Config | None = None) -> TrialResult:
+    """Assess a trial of one view from keypoints that were already estimated; see `assess_poses`."""
+    return assess_poses(trial, (pose,), config)
+
+
+def assess_poses(
+    trial: Trial, poses: Sequence[ViewPose], config: Config | None = None
+) -> TrialResult:
     """Assess a trial from keypoints that were already estimated.
 
     Parameters
     ----------
     trial
-        The person and the task; its video is not opened.
-    pose
-        What an estimator saw in the video.
+        The person and the task; the pictures of its videos are not looked at.
+    poses
+        What an estimator saw in each video, in that video's time.
     config
         Settings; the defaults if None.
 
@@ -118,30 +165,29 @@ def assess_pose(trial: Trial, pose: ViewPose, config: Config | None = None) -> T
     AssessmentError
         If the keypoints don't show enough of the person to find scale and direction.
     ConfigError
-        If a setting can't be followed.
+        If a setting can't be followed, or there are not as many poses as views.
+    SyncError, CalibrationError
+        If two views can't be brought into one time and one world.
     """
+    if len(poses) != len(trial.views):
+        raise ConfigError(
+            f"The trial has {len(trial.views)} views, but keypoints of {len(poses)} are given."
+        )
     # Thousands of tiny matrices: handing each to several threads costs a hundred times the work.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _assess_pose(trial, pose, config or Config())
+        return _assess_poses(trial, tuple(poses), config or Config())
 
 
-def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
-    camera = trial.views[0].camera
+def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> TrialResult:
     timings: dict[str, float] = {}
     with _timed(timings, "reconstruction"):
-        raw, scene = reconstruct_single_view(
-            pose,
-            trial.subject.stature,
-            matrix=camera.matrix if camera else None,
-            **dataclasses.asdict(config.camera),
-        )
+        raw, scene, joined = _reconstruct(trial, poses, config)
     with _timed(timings, "correction"):
         corrected = correct_track(
             raw, stature_m=trial.subject.stature.value, **dataclasses.asdict(config.correction)
         )
     with _timed(timings, "kinematics"):
-        solver = select_solver(config.kinematics.solver)
-        fit = solver.fit(corrected, trial.subject)
+        corrected, fit = _fit(trial, corrected, joined, config)
         angles = add_scene_errors(fit.angles, scene)
         findings = _find_lifts(trial, raw, angles, scene, config)
     coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
@@ -150,7 +196,7 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
         flags = raise_flags(risk, findings.lifts, coverage)
     return TrialResult(
         trial=trial,
-        views=(pose,),
+        views=poses,
         raw=raw,
         corrected=corrected,
         scene=scene,
@@ -159,7 +205,8 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
         risk=risk,
         flags=flags,
         warnings=(
-            *_warn(trial, pose, scene),
+            *_warn(trial, poses, scene),
+            *(joined.warnings if joined else ()),
             *_warnings_of_correction(corrected),
             *fit.warnings,
             *findings.warnings,
@@ -171,7 +218,38 @@ def _assess_pose(trial: Trial, pose: ViewPose, config: Config) -> TrialResult:
         timings_s=timings,
         coverage=coverage,
         body=fit.body,
+        calibration=joined.calibration if joined else None,
+        checks=joined.checks if joined else (),
+        sync=joined.sync if joined else None,
     )
+
+
+def _reconstruct(
+    trial: Trial, poses: tuple[ViewPose, ...], config: Config
+) -> tuple[PoseTrack, WorldScene, JoinedViews | None]:
+    """Place the joints in the world, from one view or from two."""
+    stature = trial.subject.stature
+    if len(poses) == 2:
+        joined = join_views(trial.views, poses, stature, config.two_view, config.camera)
+        return joined.track, joined.scene, joined
+    camera = trial.views[0].camera
+    track, scene = reconstruct_single_view(
+        poses[0],
+        stature,
+        matrix=camera.matrix if camera else None,
+        **dataclasses.asdict(config.camera),
+    )
+    return track, scene, None
+
+
+def _fit(
+    trial: Trial, corrected: PoseTrack, joined: JoinedViews | None, config: Config
+) -> tuple[PoseTrack, KinematicFit]:
+    """Work out the joint angles; with `model`, from both pictures at once."""
+    if joined is not None and config.two_view.fusion == "model":
+        fused = fuse_views(joined.views, joined.calibration.cameras, corrected, trial.subject)
+        return fused.track, fused.fit
+    return corrected, select_solver(config.kinematics.solver).fit(corrected, trial.subject)
 
 
 CAMERA_TRAVEL = "camera_travel"
@@ -264,9 +342,11 @@ def _find_lifts(
     )
 
 
-def _warn(trial: Trial, pose: ViewPose, scene: WorldScene) -> Iterator[str]:
+def _warn(trial: Trial, poses: tuple[ViewPose, ...], scene: WorldScene) -> Iterator[str]:
     """Say in plain words what makes this assessment less certain."""
-    yield from _warn_of_video(pose)
+    for pose in poses:
+        name = f"{pose.info.file_name}: " if len(poses) > 1 else ""
+        yield from (name + warning for warning in _warn_of_video(pose))
     if trial.subject.stature_m is None:
         yield (
             f"Stature not given: {trial.subject.stature.value:.2f} m assumed, so all lengths are "
@@ -349,26 +429,66 @@ def assess_to_folder(
     result = assess(trial, config, progress)
     timings = dict(result.timings_s)
     with scratch_folder(folder) as scratch:
-        overlay = thumbnail = None
+        overlays: list[Path] = []
+        thumbnail = None
         if config.output.overlay:
             with _timed(timings, "overlay"):
-                overlay = scratch / "overlay.mp4"
-                write_overlay(
-                    trial.views[0].path,
-                    result.views[0],
-                    overlay,
-                    blur_heads=config.output.blur_heads,
-                    lifts=result.lifts,
-                    start_s=config.video.start_s,
-                    stop_s=config.video.stop_s,
-                    progress=progress,
-                )
+                overlays = _write_overlays(result, config, scratch, progress)
             thumbnail = write_thumbnail(
-                overlay, scratch / "thumbnail.jpg", at_s=_telling_moment(result)
+                overlays[0], scratch / "thumbnail.jpg", at_s=_telling_moment(result)
             )
         result = dataclasses.replace(result, timings_s=timings)
         progress("write", 0, 0)
-        return write_result(result, folder, overlay=overlay, thumbnail=thumbnail)
+        return write_result(
+            result,
+            folder,
+            overlay=overlays[0] if overlays else None,
+            second_overlay=overlays[1] if len(overlays) > 1 else None,
+            thumbnail=thumbnail,
+            calibration_text=format_calibration(result.calibration) if result.calibration else "",
+        )
+
+
+def _write_overlays(
+    result: TrialResult, config: Config, scratch: Path, progress: ProgressCallback
+) -> list[Path]:
+    """Write the annotated videos; those of two views show the same time, from its start on."""
+    written = []
+    spans = _spans(result, config)
+    for number, (pose, span) in enumerate(zip(result.views, spans, strict=True)):
+        written.append(scratch / f"overlay{number}.mp4")
+        write_overlay(
+            result.trial.views[number].path,
+            pose,
+            written[-1],
+            blur_heads=config.output.blur_heads,
+            lifts=result.lifts,
+            start_s=span.start_s,
+            stop_s=span.stop_s,
+            time_offset_s=span.time_offset_s,
+            progress=_share_of(progress, number, len(spans)),
+        )
+    return written
+
+
+@dataclass(frozen=True)
+class _Span:
+    """Which part of a video is shown, in its own time, and what to add for the trial's time."""
+
+    start_s: float
+    stop_s: float | None
+    time_offset_s: float = 0.0
+
+
+def _spans(result: TrialResult, config: Config) -> list[_Span]:
+    if result.sync is None:
+        return [_Span(config.video.start_s, config.video.stop_s)]
+    synced = resample_views(result.views, result.sync)
+    # Half a frame of room: the first common picture must be in both videos.
+    room = 0.5 / max(result.views[0].info.fps, result.views[1].info.fps, 1.0)
+    length_s = float(synced.views[0].image.time_s[-1])
+    starts = (synced.start_in_first_s, synced.start_in_second_s)
+    return [_Span(start - room, start + length_s + room, -start) for start in starts]
 
 
 def _telling_moment(result: TrialResult) -> float:

@@ -75,6 +75,7 @@ def test_the_side_a_person_was_filmed_from_is_named(azimuth, start):
 
 def test_arithmetic_is_typeset():
     assert labels.typeset("23 x 0.5 - 1 -> 4 deg (x 0.7)") == "23 × 0.5 − 1 → 4° (×\u00a00.7)"
+    assert labels.typeset("turned by 30 degrees") == "turned by 30°"
     assert labels.sentence("a doubt") == "A doubt."
 
 

@@ -126,11 +126,17 @@ def test_a_file_is_checked_without_videos(stored):
 
 
 def test_a_file_is_checked_against_the_person_in_videos(stored, stills, monkeypatch):
-    monkeypatch.setitem(sys.modules, "engine.cameras.verdict", judge("Off.", CheckLevel.RED))
+    monkeypatch.setitem(sys.modules, "engine.cameras.verdict", judge("Off.", CheckLevel.AMBER))
     said, _, observed = run(CalibrateRequest(check=stored, videos=stills))
     assert observed == [stills]
     assert "Filmed by name: left by camera left" in said
-    assert "[red] Off." in said
+    assert "[amber] Off." in said
+
+
+def test_what_the_world_contradicts_is_said_and_refused(stored, stills, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "engine.cameras.verdict", judge("Off.", CheckLevel.RED))
+    with pytest.raises(CalibrationError, match=r"can't be trusted, so nothing was written"):
+        run(CalibrateRequest(check=stored, videos=stills))
 
 
 def write_pose2sim(path, cameras):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,17 +9,26 @@ import numpy as np
 import pytest
 
 import engine.pipeline as pipeline
+from engine.cameras.files.own import format_calibration
 from engine.config import (
     Config,
     EventsConfig,
     KinematicsConfig,
     PoseConfig,
     RiskConfig,
+    TwoViewConfig,
     VideoConfig,
 )
-from engine.datatypes import Camera, Subject, Task, Trial, TrialResult, View, ViewPose
-from engine.errors import AssessmentError, Cancelled, ConfigError, EngineError
-from engine.pipeline import assess, assess_pose
+from engine.datatypes import Calibration, Camera, Subject, Task, Trial, TrialResult, View, ViewPose
+from engine.errors import (
+    AssessmentError,
+    CalibrationError,
+    Cancelled,
+    ConfigError,
+    EngineError,
+)
+from engine.optics import camera_centre
+from engine.pipeline import assess, assess_pose, assess_poses
 from tests.engine.cameras.truth import (
     CLIPS,
     NAMES,
@@ -132,6 +142,96 @@ class TestExactKeypoints:
         assert exact.config["events"]["min_rise_m"] == 0.10
 
 
+def make_two_view_trial(folder: Path = Path("nowhere"), stature_m: float = 1.725) -> Trial:
+    subject = Subject(stature_m=stature_m, mass_kg=76.6, sex="male")
+    views = tuple(View(folder / f"{name}.mp4") for name in ("cam90", "cam135"))
+    return Trial(views=views, subject=subject, task=TASK)
+
+
+@pytest.fixture(scope="module")
+def poses(lift: Truth) -> tuple[ViewPose, ViewPose]:
+    """The same lift from two sides; the second camera was started 0.4 s later."""
+    first = see(lift.points, lift.cameras["cam90"], lift.time_s)
+    later = lift.time_s >= 0.4
+    second = see(lift.points[later], lift.cameras["cam135"], lift.time_s[later] - 0.4)
+    infos = [dataclasses.replace(v.info, sha256=x) for v, x in ((first, "a"), (second, "b"))]
+    return (
+        dataclasses.replace(first, info=infos[0]),
+        dataclasses.replace(second, info=infos[1]),
+    )
+
+
+@pytest.fixture(scope="module")
+def calibration(lift: Truth, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    cameras = Calibration(
+        cameras=(lift.cameras["cam90"], lift.cameras["cam135"]),
+        source="file",
+        up=np.array([0.0, 1.0, 0.0]),
+        floor_m=0.0,
+    )
+    path = tmp_path_factory.mktemp("cameras") / "cameras.toml"
+    path.write_text(format_calibration(cameras))
+    return path
+
+
+class TestTwoViews:
+    @pytest.mark.parametrize("fusion", ["triangulate", "model"])
+    def test_exact_views_give_the_exact_lift(self, lift, poses, calibration, fusion):
+        settings = TwoViewConfig(calibration=str(calibration), fusion=fusion)
+        trial = make_two_view_trial(stature_m=lift.stature_m)
+        result = assess_poses(trial, poses, Config(two_view=settings))
+        assert result.sync.offset_s == pytest.approx(0.4, abs=0.005)
+        assert {check.level.value for check in result.checks} == {"green"}
+        assert_close_to_truth(shift_times(result, 0.4), lift, V_cm=2.0, time_s=0.12, trunk_deg=3.0)
+        at = [lift.at(lift.events_s[name]) for name in ("lift_start", "place")]
+        feet = lift.points[:, [NAMES.index(f"{s}_ankle") for s in ("left", "right")]].mean(axis=1)
+        true_H = 100 * np.linalg.norm((lift.knuckles - feet)[at][:, [0, 2]], axis=1)
+        assert result.lifts[0].origin.H_cm.value == pytest.approx(true_H[0], abs=4.0)
+
+    def test_cameras_are_found_from_the_person(self, lift, poses):
+        result = assess_poses(make_two_view_trial(stature_m=lift.stature_m), poses)
+        assert result.calibration.source == "person"
+        centres = [camera_centre(c) for c in result.calibration.cameras]
+        true = [camera_centre(lift.cameras[n]) for n in ("cam90", "cam135")]
+        apart = np.linalg.norm(centres[0] - centres[1])
+        assert apart == pytest.approx(np.linalg.norm(true[0] - true[1]), rel=0.15)
+
+    def test_an_offset_the_user_gave_is_kept(self, lift, poses, calibration):
+        settings = TwoViewConfig(calibration=str(calibration), sync="0.4")
+        trial = make_two_view_trial(stature_m=lift.stature_m)
+        result = assess_poses(trial, poses, Config(two_view=settings))
+        assert (result.sync.offset_s, result.sync.method) == (0.4, "user")
+        assert result.warnings == ()
+
+    def test_an_offset_the_movement_contradicts_is_refused(self, lift, poses, calibration):
+        settings = TwoViewConfig(calibration=str(calibration), sync="0.5")
+        trial = make_two_view_trial(stature_m=lift.stature_m)
+        with pytest.raises(CalibrationError, match="3 frames .* the synchronisation is wrong"):
+            assess_poses(trial, poses, Config(two_view=settings))
+
+    def test_swapped_cameras_are_refused(self, lift, poses, calibration, tmp_path):
+        text = calibration.read_text()
+        swapped = text.replace('"cam90"', '"x"').replace('"cam135"', '"cam90"')
+        (tmp_path / "swapped.toml").write_text(swapped.replace('"x"', '"cam135"'))
+        settings = TwoViewConfig(calibration=str(tmp_path / "swapped.toml"))
+        with pytest.raises(CalibrationError, match=r"can't be trusted.*leave the calibration out: cameras"):
+            assess_poses(make_two_view_trial(), poses, Config(two_view=settings))
+
+    def test_as_many_poses_as_views_are_needed(self, poses):
+        with pytest.raises(ConfigError, match="2 views, but keypoints of 1"):
+            assess_poses(make_two_view_trial(), poses[:1])
+
+
+def shift_times(result: TrialResult, by_s: float) -> TrialResult:
+    """Return a result in the time of the first video."""
+    lifts = tuple(
+        dataclasses.replace(one, start_s=one.start_s + by_s, end_s=one.end_s + by_s)
+        for one in result.lifts
+    )
+    angles = dataclasses.replace(result.angles, time_s=result.angles.time_s + by_s)
+    return dataclasses.replace(result, lifts=lifts, angles=angles)
+
+
 class TestWarnings:
     def test_nothing_to_warn_of(self, exact):
         assert exact.warnings == ()
@@ -224,12 +324,17 @@ class TestBeforeDecoding:
         with pytest.raises(ConfigError, match=words):
             assess(make_trial(1.72, path), config)
 
-    def test_two_views(self, sample_folder):
-        views = tuple(
-            View(sample_folder / "floor_to_knuckle" / f"{name}.mp4") for name in ("cam90", "cam135")
-        )
-        with pytest.raises(ConfigError, match="two views"):
-            assess(Trial(views=views))
+    def test_a_calibration_that_is_none(self, sample_folder, tmp_path):
+        (tmp_path / "cameras.toml").write_text("a = 1")
+        config = Config(two_view=TwoViewConfig(calibration=str(tmp_path / "cameras.toml")))
+        with pytest.raises(CalibrationError, match=r"cameras\.toml"):
+            assess(make_two_view_trial(sample_folder / "floor_to_knuckle"), config)
+
+    def test_the_same_film_twice(self, sample_folder, tmp_path):
+        film = sample_folder / "floor_to_knuckle" / "cam90.mp4"
+        copy = shutil.copy(film, tmp_path / "copy.mp4")
+        with pytest.raises(EngineError, match=r"cam90\.mp4 and copy\.mp4 are the same film"):
+            assess(Trial(views=(View(film), View(copy))))
 
     def test_no_video(self, tmp_path):
         with pytest.raises(EngineError, match=r"nothing\.mp4"):
