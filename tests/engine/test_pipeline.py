@@ -206,7 +206,7 @@ class TestTwoViews:
     def test_an_offset_the_movement_contradicts_is_refused(self, lift, poses, calibration):
         settings = TwoViewConfig(calibration=str(calibration), sync="0.5")
         trial = make_two_view_trial(stature_m=lift.stature_m)
-        with pytest.raises(CalibrationError, match="3 frames .* the synchronisation is wrong"):
+        with pytest.raises(CalibrationError, match=r"3 frames .* the synchronisation is wrong"):
             assess_poses(trial, poses, Config(two_view=settings))
 
     def test_swapped_cameras_are_refused(self, lift, poses, calibration, tmp_path):
@@ -214,7 +214,8 @@ class TestTwoViews:
         swapped = text.replace('"cam90"', '"x"').replace('"cam135"', '"cam90"')
         (tmp_path / "swapped.toml").write_text(swapped.replace('"x"', '"cam135"'))
         settings = TwoViewConfig(calibration=str(tmp_path / "swapped.toml"))
-        with pytest.raises(CalibrationError, match=r"can't be trusted.*leave the calibration out: cameras"):
+        words = r"can't be trusted.*leave the calibration out: cameras"
+        with pytest.raises(CalibrationError, match=words):
             assess_poses(make_two_view_trial(), poses, Config(two_view=settings))
 
     def test_as_many_poses_as_views_are_needed(self, poses):
