@@ -96,7 +96,7 @@ def ranking(trial_id: str, lift: int, locks: frozenset[str]) -> Ranking:
     return _rank(trial_id, _stamp(trial_id), lift, tuple(sorted(locks)))
 
 
-@st.cache_resource(max_entries=64, show_spinner=False)
+@st.cache_resource(max_entries=64, show_spinner="Trying changes …")
 def _rank(trial_id: str, stamp: int, lift: int, locks: tuple[str, ...]) -> Ranking:
     return rank_changes(exposure(trial_id), frozenset(locks), lift_index=lift)
 

@@ -79,31 +79,9 @@ def plot_limits(
             hoverinfo="skip",
             showlegend=False,
         )
-    for title, part, symbol, color in (
-        ("As filmed", [row[1] for row in rows], "circle-open", colors[1]),
-        ("As changed", [row[2] for row in rows], "diamond", colors[0]),
-    ):
-        figure.add_scatter(
-            x=[_inside(point.x) for point in part],
-            y=labels,
-            name=title,
-            mode="markers",
-            marker={
-                "symbol": ["triangle-right" if p.x > MOST else symbol for p in part],
-                "size": 12,
-                "color": color,
-                "line": {"color": color, "width": 2},
-            },
-            error_x={
-                "array": [max(0.0, _inside(p.high) - _inside(p.x)) for p in part],
-                "arrayminus": [max(0.0, _inside(p.x) - _inside(p.low)) for p in part],
-                "color": color,
-                "thickness": 1.2,
-                "width": 4,
-            },
-            customdata=[point.text for point in part],
-            hovertemplate="%{y}: %{customdata}<extra>" + title + "</extra>",
-        )
+    filmed_points, changed_points = ([row[k] for row in rows] for k in (1, 2))
+    _add_points(figure, "As filmed", labels, filmed_points, "circle-open", colors[1])
+    _add_points(figure, "As changed", labels, changed_points, "diamond", colors[0])
     figure.add_vline(x=1.0, line={"width": 1.5, "dash": "dash", "color": "rgba(140,155,170,0.9)"})
     _lay_out(figure, height=FRAME_PX + ROW_PX * len(rows))
     figure.update_xaxes(
@@ -111,6 +89,37 @@ def plot_limits(
     )
     figure.update_yaxes(autorange="reversed", automargin=True)
     return figure
+
+
+def _add_points(
+    figure: go.Figure,
+    title: str,
+    labels: Sequence[str],
+    points: Sequence[_Point],
+    symbol: str,
+    color: str,
+) -> None:
+    symbols = ["triangle-right" if point.x > MOST else symbol for point in points]
+    figure.add_scatter(
+        x=[_inside(point.x) for point in points],
+        y=labels,
+        name=title,
+        mode="markers",
+        marker=_marker(symbols, color),
+        error_x={
+            "array": [max(0.0, _inside(p.high) - _inside(p.x)) for p in points],
+            "arrayminus": [max(0.0, _inside(p.x) - _inside(p.low)) for p in points],
+            "color": color,
+            "thickness": 1.2,
+            "width": 4,
+        },
+        customdata=[point.text for point in points],
+        hovertemplate="%{y}: %{customdata}<extra>" + title + "</extra>",
+    )
+
+
+def _marker(symbol: str | Sequence[str], color: str) -> dict[str, object]:
+    return {"symbol": symbol, "size": 12, "color": color, "line": {"color": color, "width": 2}}
 
 
 def _point(result: RiskResult | None, info: MethodInfo | None) -> _Point | None:
@@ -161,31 +170,9 @@ def plot_trials(
     """
     figure = go.Figure()
     colors = DARK if dark else LIGHT
-    for trials, place, color, symbol in (
-        (before, "Before", colors[1], "circle-open"),
-        (after, "After", colors[0], "diamond"),
-    ):
-        known = [one for one in trials if change.measure.key in one.values]
-        items = [one.values[change.measure.key] for one in known]
-        figure.add_scatter(
-            x=[place] * len(items),
-            y=[item.value for item in items],
-            error_y={
-                "array": [0 if math.isnan(i.sigma) else BAND_FACTOR * i.sigma for i in items],
-                "color": color,
-                "thickness": 1,
-                "width": 3,
-            },
-            mode="markers",
-            marker={
-                "symbol": symbol,
-                "size": 11,
-                "color": color,
-                "line": {"color": color, "width": 2},
-            },
-            text=[f"{one.label}, person {one.person}" for one in known],
-            hovertemplate="%{y:.3g}<extra>%{text}</extra>",
-        )
+    key = change.measure.key
+    _add_trials(figure, "Before", key, before, "circle-open", colors[1])
+    _add_trials(figure, "After", key, after, "diamond", colors[0])
     figure.add_scatter(
         x=["Before", "After"],
         y=[change.before, change.after],
@@ -202,6 +189,32 @@ def plot_trials(
     figure.update_yaxes(gridcolor=GRID, zeroline=False, automargin=True, rangemode="tozero")
     figure.update_xaxes(type="category", range=[-0.5, 1.5])
     return figure
+
+
+def _add_trials(
+    figure: go.Figure,
+    place: str,
+    key: str,
+    trials: Sequence[TrialMeasures],
+    symbol: str,
+    color: str,
+) -> None:
+    known = [one for one in trials if key in one.values]
+    items = [one.values[key] for one in known]
+    figure.add_scatter(
+        x=[place] * len(items),
+        y=[item.value for item in items],
+        error_y={
+            "array": [0 if math.isnan(i.sigma) else BAND_FACTOR * i.sigma for i in items],
+            "color": color,
+            "thickness": 1,
+            "width": 3,
+        },
+        mode="markers",
+        marker=_marker(symbol, color),
+        text=[f"{one.label}, person {one.person}" for one in known],
+        hovertemplate="%{y:.3g}<extra>%{text}</extra>",
+    )
 
 
 def _title(name: str, unit: str) -> str:

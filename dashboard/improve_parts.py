@@ -99,7 +99,12 @@ def choose_lift(trial_id: str) -> int | None:
         for k in range(len(exposure.lifts))
     }
     chosen = st.pills(
-        "Lift", list(names), default=worst, format_func=names.__getitem__, required=True
+        "Lift",
+        list(names),
+        default=worst,
+        format_func=names.__getitem__,
+        required=True,
+        key=f"lift_{trial_id}",
     )
     return worst if chosen is None else int(chosen)
 

@@ -212,17 +212,7 @@ def _ask_work(
 ) -> tuple[Parts, float | None, float | None]:
     """Ask how often and how long every task is done."""
     with st.container(border=True):
-        way = ALTERNATING
-        if len(chosen) > 1:
-            way = str(
-                st.radio(
-                    "How the tasks follow each other",
-                    (ALTERNATING, ROTATING),
-                    captions=("within one stretch of work", "a rotation, each with its own time"),
-                    horizontal=True,
-                    key="job_way",
-                )
-            )
+        way = _ask_way() if len(chosen) > 1 else ALTERNATING
         names = _distinct_names(chosen, usable)
         parts: list[tuple[str, str, float, float | None]] = []
         for k, name in enumerate(chosen):
@@ -255,6 +245,18 @@ def _ask_work(
                 help=labels.HELP["recovery"],
             )
     return tuple(parts), duration_h, recovery_h
+
+
+def _ask_way() -> str:
+    return str(
+        st.radio(
+            "How the tasks follow each other",
+            (ALTERNATING, ROTATING),
+            captions=("within one stretch of work", "a rotation, each with its own time"),
+            horizontal=True,
+            key="job_way",
+        )
+    )
 
 
 def _distinct_names(chosen: Sequence[str], usable: dict[str, TrialEntry]) -> dict[str, str]:

@@ -232,7 +232,7 @@ def compute_frequency_multiplier(
     say how to interpolate towards zero, and lifting faster than the fastest listed rate is
     outside it.
     """
-    f, v = np.broadcast_arrays(_input("Frequency", frequency_per_min), _input("V", V_origin))
+    f, v = _input("Frequency", frequency_per_min), _input("V", V_origin)
     first = _FREQUENCY_COLUMN[duration]
     below, above = (_interpolate_frequency(f, first + k) for k in (0, 1))
     return np.where(np.isnan(v), np.nan, np.where(v < constants.v_best, below, above))

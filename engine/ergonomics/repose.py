@@ -37,7 +37,7 @@ MAX_STRETCH = 0.99
 MIN_LEG = 0.35
 BALANCE_M = 0.10
 """How much further forward or back the hips may go than they ever do in the clip."""
-N_STEPS = 8
+N_STEPS, CLOSE_M = 8, 0.0005
 LEAD_S = 1.0
 """Length of the reach and of the return where they are not known."""
 FORWARD_COST, TIME_COST_M = 0.5, 0.02
@@ -268,6 +268,8 @@ class _Chain:
         """Move the parts; return how far the hands stay from their targets, shape (N,), m."""
         for _ in range(N_STEPS):
             missing = self.target - self._hands()
+            if np.abs(missing).max(initial=0.0) < CLOSE_M:
+                break
             self._step(missing)
         return np.asarray(np.linalg.norm(self.target - self._hands(), axis=1))
 
@@ -312,16 +314,13 @@ class _Chain:
         hips_shift = body.lift_out(self.hips - self.start[0])
         centre = ankle + body.lift_out(self.hips)
         arm_shift = body.lift_out(self.arm - self.start[2])
-        result = np.array(places)
-        for k, name in enumerate(names):
-            part = name.split("_", 1)[-1]
-            if part in FIXED:
-                result[:, k] = body.position[frames, k]
-            elif part in ("hip", "pelvis"):
-                result[:, k] = places[:, k] + hips_shift
-            elif part != "knee":
-                turned = _rotate_about(places[:, k] + hips_shift, centre, self.lean, body.forward)
-                result[:, k] = turned
+        parts = np.array([name.split("_", 1)[-1] for name in names])
+        fixed, hips = np.isin(parts, FIXED), np.isin(parts, ("hip", "pelvis"))
+        # Knees and arms are placed by their own segments, below.
+        trunk = ~(fixed | hips | (parts == "knee"))
+        result = places + hips_shift[:, None]
+        result[:, fixed] = body.position[frames][:, fixed]
+        result[:, trunk] = _rotate_about(result[:, trunk], centre, self.lean, body.forward)
         _place_arms(result, names, places, arm_shift)
         _place_knees(result, names, places)
         return result
@@ -334,12 +333,15 @@ def _rotate(vector: Array, lean: Array) -> Array:
     return np.stack([cosine * away + sine * up, cosine * up - sine * away], axis=1)
 
 
-def _rotate_about(point: Array, centre: Array, lean: Array, forward: Array) -> Array:
-    """Lean points (N, 3) forward about centres; what lies across the plane stays."""
-    offset = point - centre
-    plane = np.stack([offset @ forward, offset[:, 1]], axis=1)
-    change = _rotate(plane, lean) - plane
-    return np.asarray(point + change[:, :1] * forward + change[:, 1:] * np.array([0.0, 1.0, 0.0]))
+def _rotate_about(points: Array, centre: Array, lean: Array, forward: Array) -> Array:
+    """Lean points (N, K, 3) forward about centres (N, 3); what lies across the plane stays."""
+    offset = points - centre[:, None]
+    away, up = offset @ forward, offset[..., 1]
+    cosine, sine = np.cos(lean)[:, None], np.sin(lean)[:, None]
+    change = (cosine - 1.0) * away + sine * up, (cosine - 1.0) * up - sine * away
+    result = points + change[0][..., None] * forward
+    result[..., 1] += change[1]
+    return np.asarray(result)
 
 
 def _limit_length(vector: Array, low: float, high: float) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 from engine.datatypes import (
@@ -326,11 +327,12 @@ def _mark(result: RiskResult, exposure: Exposure, change: Change, found: Changed
     if change.is_none:
         return result
     reads_posture = found.is_posed and result.method not in PLACES_ONLY
+    touched = _changed_inputs(change)
     notes = [POSTURE_NOTE if reads_posture else AS_MEASURED_NOTE, *found.notes]
     steps = (f"What if: {'; '.join(describe_change(exposure, change))}", *result.steps)
     marked = replace(
         result,
-        inputs=tuple(_mark_input(item, change, is_posed=reads_posture) for item in result.inputs),
+        inputs=tuple(_mark_input(item, touched, is_posed=reads_posture) for item in result.inputs),
         steps=steps if result.is_applicable else result.steps,
         reasons=(*notes, *result.reasons),
         details={**result.details, "is_what_if": True},
@@ -339,13 +341,14 @@ def _mark(result: RiskResult, exposure: Exposure, change: Change, found: Changed
     return _drop_dynamic(marked) if reads_posture and "dynamic" in result.details else marked
 
 
-def _mark_input(item: RiskInput, change: Change, *, is_posed: bool) -> RiskInput:
+def _mark_input(item: RiskInput, touched: frozenset[str], *, is_posed: bool) -> RiskInput:
     is_seen = item.provenance in (Provenance.MEASURED, Provenance.DERIVED)
-    if item.name in _changed_inputs(change) or (is_posed and is_seen):
+    if item.name in touched or (is_posed and is_seen):
         return replace(item, provenance=Provenance.ASSUMED)
     return item
 
 
+@lru_cache(maxsize=8)
 def _changed_inputs(change: Change) -> frozenset[str]:
     """Return what the methods call the inputs that a change touches."""
     names = {
