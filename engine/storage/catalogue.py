@@ -117,29 +117,47 @@ def record(session: Session, folder: TrialFolder) -> None:
     if not folder.path.exists():
         return
     trial = session.get(Trial, folder.id)
-    if trial is None:
-        trial = Trial(
-            id=folder.id,
-            state=TrialState.DONE,
-            label="",
-            created_at=folder.created,
-            job_id=find_place(session, "", ""),
-            person_id=None,
-            result_version=0,
-        )
-        session.add(trial)
-    elif trial.state == TrialState.DELETING:
+    if trial is not None and trial.state == TrialState.DELETING:
         return
+    is_new = trial is None
+    if trial is None:
+        trial = _introduce(session, folder)
     trial.inode, trial.stamp, trial.thumbnail = folder.inode, folder.stamp, folder.thumbnail
     trial.message = folder.message
     trial.state = TrialState.DAMAGED if folder.summary is None else TrialState.DONE
     if folder.summary is not None:
-        _record_result(session, trial, folder.summary, folder.created)
-    update_search(session, trial)
+        _record_result(session, trial, folder.summary, folder.created, is_new=is_new)
+    if not is_new:
+        update_search(session, trial)
+
+
+def _introduce(session: Session, folder: TrialFolder) -> Trial:
+    """Make the row of a trial that was never listed; thousands come at once from an old library."""
+    told = folder.summary
+    site, job, person = (told.site, told.job, told.person) if told else ("", "", "")
+    index = told.lifting_index if told else None
+    trial = Trial(
+        id=folder.id,
+        state=TrialState.DONE,
+        label=told.label if told else "",
+        created_at=folder.created,
+        job_id=find_place(session, site, job),
+        person_id=find_person(session, person),
+        result_version=0,
+        search=_search_text(
+            told.label if told else "", person, site, job, index.category if index else ""
+        ),
+    )
+    session.add(trial)
+    session.flush()
+    return trial
 
 
 def find_place(session: Session, site: str, job: str) -> int:
     """Return the row of a job at a site; made if it is new."""
+    known: dict[tuple[str, str], int] = session.info.setdefault("places", {})
+    if (site, job) in known:
+        return known[site, job]
     place = session.scalar(select(Site).where(Site.name == site))
     if place is None:
         place = Site(name=site)
@@ -150,19 +168,22 @@ def find_place(session: Session, site: str, job: str) -> int:
         work = Job(site_id=place.id, name=job)
         session.add(work)
         session.flush()
-    return work.id
+    return known.setdefault((site, job), work.id)
 
 
 def find_person(session: Session, pseudonym: str) -> int | None:
     """Return the row of a person, made if it is new; None without a pseudonym."""
     if not pseudonym:
         return None
+    known: dict[str, int] = session.info.setdefault("people", {})
+    if pseudonym in known:
+        return known[pseudonym]
     person = session.scalar(select(Person).where(Person.pseudonym == pseudonym))
     if person is None:
         person = Person(pseudonym=pseudonym)
         session.add(person)
         session.flush()
-    return person.id
+    return known.setdefault(pseudonym, person.id)
 
 
 def update_search(session: Session, trial: Trial) -> None:
@@ -178,13 +199,17 @@ def update_search(session: Session, trial: Trial) -> None:
         )
     )
     tags = session.scalars(select(Tag.name).join(TrialTag).where(TrialTag.trial_id == trial.id))
-    parts = (trial.label, person, site, job, category, *sorted(tags))
-    trial.search = " ".join(part for part in parts if part).casefold()
+    trial.search = _search_text(trial.label, person, site, job, category, *sorted(tags))
+
+
+def _search_text(*parts: str | None) -> str:
+    return " ".join(part for part in parts if part).casefold()
 
 
 def prune(session: Session) -> None:
     """Remove names that no trial uses any more: they may say more than was meant."""
     session.flush()
+    session.info.clear()
     session.execute(delete(Tag).where(~exists().where(TrialTag.tag_id == Tag.id)))
     session.execute(delete(Job).where(~exists().where(Trial.job_id == Job.id)))
     session.execute(delete(Site).where(~exists().where(Job.site_id == Site.id)))
@@ -266,14 +291,18 @@ def _batches(names: Sequence[_T]) -> Iterator[list[_T]]:
 # --------------------------------------------------------------------------- results
 
 
-def _record_result(session: Session, trial: Trial, summary: Summary, created: datetime) -> None:
-    session.flush()
-    latest = session.scalar(
-        select(Result).where(Result.trial_id == trial.id, Result.version == trial.result_version)
-    )
-    if latest is not None and latest.document_sha256 == summary.document_sha256:
-        return
-    _follow_names(session, trial, latest, summary)
+def _record_result(
+    session: Session, trial: Trial, summary: Summary, created: datetime, *, is_new: bool
+) -> None:
+    if not is_new:
+        latest = session.scalars(
+            select(Result).where(
+                Result.trial_id == trial.id, Result.version == trial.result_version
+            )
+        ).one_or_none()
+        if latest is not None and latest.document_sha256 == summary.document_sha256:
+            return
+        _follow_names(session, trial, latest, summary)
     trial.created_at = created
     trial.result_version += 1
     index = summary.lifting_index
