@@ -239,6 +239,12 @@ class Bundle:
         self._link_rows(state, rows, by_points, by_shared, linear)
         self._depth_rows(state, seen, rows, by_points, by_shared, linear)
         self._ground_rows(state, rows, by_points, by_shared, linear)
+        # In shares of the stature: else a smaller world would have smaller errors.
+        size = np.exp(state.shared[SPAN]) / self.priors.stature_m
+        for values in (rows, by_points, by_shared) if linear else (rows,):
+            values[:, _R_IMAGE.stop :] /= size
+        if linear:
+            by_shared[:, _R_IMAGE.stop :, SPAN] -= rows[:, _R_IMAGE.stop :]
         rows = np.where(self._inverse_sigma > 0, rows * self._inverse_sigma, 0.0)
         if linear:
             by_points *= self._inverse_sigma[:, :, None]

@@ -56,14 +56,15 @@ LEAST_MOTION = 0.02
 """Share of the height by which joints must move against each other."""
 RAY_ANGLE_DEG = (15.0, 150.0)
 LARGEST_MISFIT = 0.022
-LARGEST_MISS_OVER_TIME = 0.016
+LARGEST_MISS_OVER_TIME = 0.019
 """Typical distance of joints in the pictures, and by how much it changes over time: shares of the
 person's height beyond which the views do not show one person at one time."""
 LARGEST_ROTATION_SIGMA_DEG = 6.0
 CENTRE_SIGMA = 0.01
 """Standard error of an assumed principal point, as a share of the longer side."""
 NEVER_UPRIGHT_TILT_DEG = 12.0
-"""How much worse up is known when the person never stands straight."""
+NEVER_UPRIGHT_FLOOR_M = 0.05
+"""How much worse up and floor are known when the person never stands straight."""
 KNOWN_FOCAL_SIGMA = 0.003
 KNOWN_CENTRE_SIGMA = 0.001
 
@@ -380,8 +381,10 @@ def _describe(
     distance = float(np.median(np.linalg.norm(state.points, axis=-1)))
     # Cameras that are far from level make the prior that they are level doubtful.
     tilt_sigma = float(np.degrees(_rms_sigma(covariance, UP))) * max(1.0, solution.level_misfit)
+    floor_sigma = FLOOR_SIGMA_M
     if not evidence.has_upright:
         tilt_sigma = float(np.hypot(tilt_sigma, NEVER_UPRIGHT_TILT_DEG))
+        floor_sigma = float(np.hypot(floor_sigma, NEVER_UPRIGHT_FLOOR_M))
     bundle = Bundle(evidence, priors)
     focal, centre = bundle.matrices(state.shared)
     poses = (
@@ -404,7 +407,7 @@ def _describe(
         rotation_sigma_deg=float(np.degrees(np.sqrt(0.5) * solution.shape_sigma_m / distance)),
         translation_sigma_m=float(np.sqrt(0.5) * solution.shape_sigma_m),
         tilt_sigma_deg=tilt_sigma,
-        floor_sigma_m=FLOOR_SIGMA_M,
+        floor_sigma_m=floor_sigma,
         provenance={
             "method": "joints of the moving person",
             "frames": evidence.n_frames,
