@@ -15,6 +15,7 @@ __all__ = [
     "DEFINITION_M",
     "OTHER_DEFINITION_DEG",
     "OTHER_DEFINITION_M",
+    "carry_along",
     "part_of",
     "place_points",
     "point_variance",
@@ -46,6 +47,60 @@ DEFINITION_DEG: Mapping[str, float] = {
 }
 OTHER_DEFINITION_DEG = 2.0
 """What that costs an angle."""
+
+
+RIDERS: Mapping[str, str] = {
+    **{
+        f"{side}_{part}": f"{side}_wrist"
+        for side in ("left", "right")
+        for part in ("pinky", "index", "thumb")
+    },
+    **dict.fromkeys(
+        (
+            *(
+                f"{side}_eye{part}"
+                for side in ("left", "right")
+                for part in ("_inner", "", "_outer")
+            ),
+            "left_mouth",
+            "right_mouth",
+        ),
+        "nose",
+    ),
+}
+"""Keypoints that the figure has not, and the one each of them goes along with: their landmarks err
+together, so what lies between them is better known than either."""
+MAX_REACH_M = 0.15
+RIDER_SIGMA_M = 0.015
+
+
+def carry_along(
+    keypoints: Sequence[str], start: Array, position: Array, sigma: Array, fitted: Sequence[int]
+) -> None:
+    """Move keypoints that the figure has not along with those it has, in place.
+
+    Parameters
+    ----------
+    keypoints
+        The K names.
+    start
+        Shape (T, K, 3), m: where everything was before the fit.
+    position, sigma
+        Shape (T, K, 3) and (T, K), m, already right for the keypoints at `fitted`.
+    fitted
+        Places of the figure's points among the keypoints.
+    """
+    for name, base in RIDERS.items():
+        if name not in keypoints or base not in keypoints:
+            continue
+        own, other = keypoints.index(name), keypoints.index(base)
+        if other not in fitted:
+            continue
+        offset = start[:, own] - start[:, other]
+        reach = np.linalg.norm(offset, axis=1, keepdims=True)
+        offset = offset * np.minimum(1.0, MAX_REACH_M / np.maximum(reach, 1e-9))
+        position[:, own] = position[:, other] + offset
+        sigma[:, own] = np.hypot(sigma[:, other], RIDER_SIGMA_M)
 
 
 def point_variance(problem: ClipProblem, state: Array, covariance: Array) -> Array:

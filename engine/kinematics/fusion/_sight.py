@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import binary_propagation, uniform_filter1d
 
 from engine.datatypes import Array, ViewPose
 from engine.kinematics.fusion._pictures import PictureProblem
@@ -20,9 +20,12 @@ LEGS = ("hip", "knee", "ankle", "heel", "big_toe")
 FARTHEST = 25.0
 """Squared distance, in standard errors, beyond which a landmark fits no worse: it is astray."""
 WINDOW_S = 0.17
-MIN_GAIN = 12.0
-"""What exchanging names must gain in a frame, alone and with its neighbours: names that are right
-seldom gain anything, exchanged ones gain `FARTHEST` a landmark."""
+MIN_GAIN = 60.0
+"""What exchanging names must gain in a frame, alone and with its neighbours. Exchanged names gain
+up to `FARTHEST` a landmark; a poor guess of a hidden limb may gain a little by chance."""
+MAX_LEFT = 12.0
+"""What may be left a landmark after the exchange, on average: right names fit, if only as well as
+the figure is known there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +113,17 @@ def find_exchanged(
         square = weight * np.sum((problem.pixel[:, order] - expected) ** 2, axis=3)
         cost.append(np.minimum(square, FARTHEST).sum(axis=1))
     gain = cost[0] - np.array(cost)
+    n_seen = np.maximum((problem.pixel_weight > 0).sum(axis=1), 1)
+    fits = np.array(cost) / n_seen < MAX_LEFT
     window = 1
     if time_s.size > 1:
         window = max(1, round(WINDOW_S / float(np.median(np.diff(time_s)))))
     around = uniform_filter1d(gain, window, axis=2, mode="nearest")
-    usable = np.where((gain > MIN_GAIN) & (around > MIN_GAIN), around, -np.inf)
+    gains = fits & (gain > MIN_GAIN)
+    in_time = np.zeros((3, 3, 3), dtype=bool)
+    in_time[1, 1] = True
+    # Neighbours vouch for a frame; at the ends of an exchange those on one side do.
+    certain = binary_propagation(gains & (around > MIN_GAIN), in_time, mask=gains)
+    usable = np.where(certain, gain, -np.inf)
     usable[0] = 0.0
     return np.asarray(usable.argmax(axis=0))

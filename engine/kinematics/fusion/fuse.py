@@ -61,6 +61,7 @@ from engine.kinematics.fusion._result import (
     DEFINITION_M,
     OTHER_DEFINITION_DEG,
     OTHER_DEFINITION_M,
+    carry_along,
     part_of,
     place_points,
     point_variance,
@@ -101,8 +102,8 @@ class FusedFit:
     ----------
     track
         World metres: the figure's joints where it has them, drawn towards the landmarks as far as
-        a body allows; other keypoints as the start had them. NaN where no view shows the
-        person for longer than a moment.
+        a body allows; fingers and face go along with wrist and nose, as far from them as the start
+        had them. NaN where no view shows the person for longer than a moment.
     fit
         Joint angles with standard errors, and the body model.
     reprojection_px
@@ -428,6 +429,10 @@ class _Fusion:
         own = np.where(repaired, Status.REPAIRED, Status.MEASURED)[:, None]
         own = np.where(seen.T, own, Status.FILLED)
         status[:, self.columns] = np.where(is_known[:, None], own, Status.MISSING)
+        carry_along(self.skeleton.keypoints, self.track.position, position, sigma, self.columns)
+        present = np.isfinite(position).all(axis=2)
+        status[~present] = Status.MISSING
+        sigma[~present] = np.nan
         _add_middles(self.skeleton, position, sigma, status)
         return replace(
             self.track,

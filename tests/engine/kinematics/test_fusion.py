@@ -276,6 +276,18 @@ def test_a_joint_seen_by_one_view_only_is_placed_with_a_larger_error(noisy):
     assert (fused.track.sigma[:, elbow] > noisy.track.sigma[:, elbow]).mean() > 0.9
 
 
+def test_fingers_go_along_with_the_wrist():
+    views = make_views()
+    track = triangulate(views)
+    wrist, index = MEDIAPIPE_33.index("left_wrist"), MEDIAPIPE_33.index("left_index")
+    position = np.array(track.position)
+    position[:, wrist] += (0.0, 0.0, 0.08)
+    position[:, index] = position[:, wrist] + (0.07, -0.03, 0.0)
+    fused = fuse(views, dataclasses.replace(track, position=position, status=None))
+    hand = fused.track.position[:, index] - TRUTH[:, wrist]
+    np.testing.assert_allclose(hand, np.tile([0.07, -0.03, 0.0], (N_FRAMES, 1)), atol=0.01)
+
+
 def test_the_doubtful_view_counts_less(noisy):
     wrist = MEDIAPIPE_33.index("right_wrist")
 
