@@ -7,6 +7,8 @@ from pathlib import Path
 
 from engine.errors import ConfigError
 from engine.storage.atomic import explain_os_errors, write_aside
+from engine.storage.bvh import write_bvh
+from engine.storage.c3d_writer import write_c3d
 from engine.storage.results import StoredResult, read_result
 from engine.storage.tables import write_angles_csv, write_angles_mot, write_keypoints_trc
 
@@ -27,15 +29,23 @@ def _write_csv(stored: StoredResult, path: Path) -> None:
     write_angles_csv(stored.angles, path)
 
 
+def _write_c3d(stored: StoredResult, path: Path) -> None:
+    write_c3d(stored.corrected, stored.angles, path)
+
+
+def _write_bvh(stored: StoredResult, path: Path) -> None:
+    write_bvh(stored.corrected, path, body=stored.body)
+
+
 _WRITERS: Mapping[str, tuple[str, _Writer]] = {
     "trc": ("keypoints.trc", _write_trc),
     "mot": ("angles.mot", _write_mot),
     "csv": ("angles.csv", _write_csv),
+    "c3d": ("motion.c3d", _write_c3d),
+    "bvh": ("motion.bvh", _write_bvh),
 }
 EXPORT_FORMATS: tuple[str, ...] = tuple(_WRITERS)
 """The formats `export_result` writes."""
-
-_LATER = ("c3d", "bvh")
 
 
 def export_result(folder: Path, format: str, out: Path | None = None) -> Path:  # noqa: A002
@@ -46,8 +56,9 @@ def export_result(folder: Path, format: str, out: Path | None = None) -> Path:  
     folder
         A result folder.
     format
-        `trc` (corrected keypoints, world, mm), `mot` (joint angles for OpenSim) or `csv` (joint
-        angles with their errors).
+        `trc` (corrected keypoints, world, mm), `mot` (joint angles for OpenSim), `csv` (joint
+        angles with their errors), `c3d` (keypoints and joint angles) or `bvh` (a figure of rigid
+        bones).
     out
         The file to write, or an existing folder to write it into; None for the current folder.
         The file then is named after the result.
@@ -81,8 +92,6 @@ def export_result(folder: Path, format: str, out: Path | None = None) -> Path:  
 def _find_writer(name: str) -> tuple[str, _Writer]:
     key = name.strip().lower().removeprefix(".")
     offered = ", ".join(EXPORT_FORMATS)
-    if key in _LATER:
-        raise ConfigError(f"Export to {key} is not available yet; available: {offered}.")
     if key not in _WRITERS:
         raise ConfigError(f"Unknown export format {name!r}; available: {offered}.")
     return _WRITERS[key]

@@ -45,16 +45,18 @@ def test_the_file_is_named_after_the_result(
     assert export_result(folder, "trc") == tmp_path / "here" / "crate_keypoints.trc"
 
 
-@pytest.mark.parametrize("format_", ["c3d", "bvh"])
-def test_later_formats_say_so(folder: Path, tmp_path: Path, format_: str) -> None:
-    with pytest.raises(ConfigError, match="not available yet; available: trc, mot, csv"):
-        export_result(folder, format_, tmp_path / "x")
+@pytest.mark.parametrize(("format_", "start"), [("c3d", b"\x02P"), ("bvh", b"HIERARCHY")])
+def test_formats_made_on_demand_are_written(
+    folder: Path, tmp_path: Path, format_: str, start: bytes
+) -> None:
+    assert export_result(folder, format_, tmp_path).name == f"crate_motion.{format_}"
+    assert (tmp_path / f"crate_motion.{format_}").read_bytes().startswith(start)
 
 
 def test_unknown_formats_are_named(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="'xlsx'"):
         export_result(folder, "xlsx", tmp_path / "x")
-    assert EXPORT_FORMATS == ("trc", "mot", "csv")
+    assert EXPORT_FORMATS == ("trc", "mot", "csv", "c3d", "bvh")
 
 
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
