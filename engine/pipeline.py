@@ -189,7 +189,10 @@ def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> 
     with _timed(timings, "kinematics"):
         corrected, fit = _fit(trial, corrected, joined, config)
         angles = add_scene_errors(fit.angles, scene)
-        findings = _find_lifts(trial, raw, angles, scene, config)
+        # A body fitted to both pictures knows where hidden hands are; joints one by one don't.
+        is_whole = joined is not None and config.two_view.fusion == "model"
+        hands = corrected if is_whole else _follow_hidden_hands(trial, raw, config)
+        findings = _find_lifts(trial, hands, angles, scene, config)
     coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
     with _timed(timings, "risk"):
         risk = _assess_risk(trial, scene, corrected, angles, findings, config)
@@ -324,16 +327,23 @@ def _assess_risk(
     return assess_risk(exposure, methods=config.risk.methods, experimental=config.risk.experimental)
 
 
-def _find_lifts(
-    trial: Trial, raw: PoseTrack, angles: JointAngles, scene: WorldScene, config: Config
-) -> LiftFindings:
-    # A hand hidden behind the body or the load still has to be somewhere: the estimator's guess
-    # is used here, with a wide error, while joint angles leave it out.
+def _follow_hidden_hands(trial: Trial, raw: PoseTrack, config: Config) -> PoseTrack:
+    """Return the joints with every doubtful one kept.
+
+    A hand hidden behind the body or the load still has to be somewhere: the estimator's guess
+    is used for finding lifts, with a wide error, while joint angles leave it out.
+    """
     settings = dataclasses.asdict(config.correction) | {"min_confidence": 0.0}
     if settings["preset"] == "none":
         settings["preset"] = "default"
+    return correct_track(raw, stature_m=trial.subject.stature.value, **settings)
+
+
+def _find_lifts(
+    trial: Trial, track: PoseTrack, angles: JointAngles, scene: WorldScene, config: Config
+) -> LiftFindings:
     return detect_lifts(
-        correct_track(raw, stature_m=trial.subject.stature.value, **settings),
+        track,
         angles,
         scene,
         stature_m=trial.subject.stature.value,
