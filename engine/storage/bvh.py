@@ -122,7 +122,7 @@ def _positions(track: PoseTrack, body: BodyFit | None) -> Array:
     """Return (T, K, 3): the fitted body's joints, and the track's where the model has none."""
     if body is None or body.joints.position.shape != track.position.shape:
         return track.position
-    modelled = np.isfinite(body.joints.position).any(axis=(0, 2))
+    modelled = np.asarray(np.isfinite(body.joints.position).any(axis=(0, 2)))
     return np.where(modelled[None, :, None], body.joints.position, track.position)
 
 
@@ -155,7 +155,7 @@ def _seen_bones(points: Mapping[str, Array]) -> Iterator[_Bone]:
         needed = (bone.start, bone.end, *(bone.across or ()))
         if bone.parent not in known or not all(name in points for name in needed):
             continue
-        total = np.sum([points[name] for name in needed], axis=(0, 2))
+        total = np.asarray([points[name] for name in needed]).sum(axis=(0, 2))
         if np.isfinite(total).any():
             known.add(bone.name)
             yield bone
