@@ -20,7 +20,6 @@ from engine.config import Config
 from engine.correction.chain import correct_track, summarise_status
 from engine.datatypes import (
     JointAngles,
-    KinematicFit,
     PoseTrack,
     ProgressCallback,
     RiskResult,
@@ -187,12 +186,15 @@ def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> 
             raw, stature_m=trial.subject.stature.value, **dataclasses.asdict(config.correction)
         )
     with _timed(timings, "kinematics"):
-        corrected, fit = _fit(trial, corrected, joined, config)
+        every_joint = _keep_doubtful_joints(trial, raw, config)
+        if joined is not None and config.two_view.fusion == "model":
+            fused = fuse_views(joined.views, joined.calibration.cameras, every_joint, trial.subject)
+            # A body fitted to both pictures knows where hidden hands are.
+            corrected, fit, every_joint = fused.track, fused.fit, fused.track
+        else:
+            fit = select_solver(config.kinematics.solver).fit(corrected, trial.subject)
         angles = add_scene_errors(fit.angles, scene)
-        # A body fitted to both pictures knows where hidden hands are; joints one by one don't.
-        is_whole = joined is not None and config.two_view.fusion == "model"
-        hands = corrected if is_whole else _follow_hidden_hands(trial, raw, config)
-        findings = _find_lifts(trial, hands, angles, scene, config)
+        findings = _find_lifts(trial, every_joint, angles, scene, config)
     coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
     with _timed(timings, "risk"):
         risk = _assess_risk(trial, scene, corrected, angles, findings, config)
@@ -243,16 +245,6 @@ def _reconstruct(
         **dataclasses.asdict(config.camera),
     )
     return track, scene, None
-
-
-def _fit(
-    trial: Trial, corrected: PoseTrack, joined: JoinedViews | None, config: Config
-) -> tuple[PoseTrack, KinematicFit]:
-    """Work out the joint angles; with `model`, from both pictures at once."""
-    if joined is not None and config.two_view.fusion == "model":
-        fused = fuse_views(joined.views, joined.calibration.cameras, corrected, trial.subject)
-        return fused.track, fused.fit
-    return corrected, select_solver(config.kinematics.solver).fit(corrected, trial.subject)
 
 
 CAMERA_TRAVEL = "camera_travel"
@@ -327,8 +319,8 @@ def _assess_risk(
     return assess_risk(exposure, methods=config.risk.methods, experimental=config.risk.experimental)
 
 
-def _follow_hidden_hands(trial: Trial, raw: PoseTrack, config: Config) -> PoseTrack:
-    """Return the joints with every doubtful one kept.
+def _keep_doubtful_joints(trial: Trial, raw: PoseTrack, config: Config) -> PoseTrack:
+    """Return the corrected joints with every doubtful one kept.
 
     A hand hidden behind the body or the load still has to be somewhere: the estimator's guess
     is used for finding lifts, with a wide error, while joint angles leave it out.
