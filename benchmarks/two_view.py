@@ -534,7 +534,10 @@ def measure_real(options: argparse.Namespace) -> tuple[str, pd.DataFrame]:
     table = pd.DataFrame(rows)
     text = table.round(2).to_string(index=False)
     numbers = table.drop(columns=["pair", *([] if "error" not in table else ["error"])])
-    return f"{text}\n\nMean over pairs\n{numbers.groupby('cameras').mean().round(2)}", table
+    return (
+        f"{text}\n\nMean over pairs\n{numbers.groupby('cameras').mean().round(2).to_string()}",
+        table,
+    )
 
 
 def reconstruct_half(
