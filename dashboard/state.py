@@ -208,3 +208,22 @@ def fill_improve(scope: str, values: dict[str, Any]) -> None:
 def _improve_fill(scope: str) -> tuple[int, dict[str, Any]]:
     found: tuple[int, dict[str, Any]] = st.session_state.get(f"{_IMPROVE}_{scope}", (0, {}))
     return found
+
+
+# --------------------------------------------------------------------------- lists and overview
+
+SEARCH_KEY, SITE_KEY, WORK_KEY, PERSON_KEY = "search", "site", "work", "person"
+LEVEL_KEY, TAGS_KEY, PERIOD_KEY, ORDER_KEY, PAGE_KEY = "level", "tags", "period", "order", "page"
+"""Of filters; they stand in the address under these names."""
+CHANGED_JOB_KEY, CHANGED_DAY_KEY = "changed_job", "changed_day"
+REPORT_KIND_KEY, ANONYMOUS_KEY = "report_kind", "report_anonymous"
+
+
+def is_anonymous() -> bool:
+    """Whether reports leave out names and pictures."""
+    return bool(st.session_state.get(ANONYMOUS_KEY))
+
+
+def turn_to_first_page() -> None:
+    """Go back to the start of the list, since another choice makes another list."""
+    st.session_state[PAGE_KEY] = 1
