@@ -475,7 +475,8 @@ def main() -> None:
         rows = try_verdict(clips) if options.verdict else run(clips, options.rows)
     print(
         f"Self-calibration of two views. {platform.machine()}, "
-        f"Python {platform.python_version()}, one thread; no random numbers.\n"
+        f"Python {platform.python_version()}, one thread; seed 0 for "
+        "the wrong calibrations, else no random numbers.\n"
         f"{' '.join(['benchmarks/self_calibration.py', *sys.argv[1:]])}\n"
     )
     if options.verdict:
