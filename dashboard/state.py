@@ -224,6 +224,17 @@ def is_anonymous() -> bool:
     return bool(st.session_state.get(ANONYMOUS_KEY))
 
 
+def list_page() -> int:
+    """Return which page of the list is shown, counted from 1."""
+    found = st.query_params.get(PAGE_KEY, "1")
+    return max(1, int(found)) if found.isdecimal() else 1
+
+
+def turn_to_page(number: int) -> None:
+    """Show another page of the list; a reload shows it again."""
+    st.query_params[PAGE_KEY] = str(number)
+
+
 def turn_to_first_page() -> None:
     """Go back to the start of the list, since another choice makes another list."""
-    st.session_state[PAGE_KEY] = 1
+    st.query_params.pop(PAGE_KEY, None)
