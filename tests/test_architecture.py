@@ -29,6 +29,7 @@ STEPS = {
     "correction",
     "kinematics",
     "ergonomics",
+    "form",
     "validation",
 }
 MAY_START_THE_PIPELINE = {"engine", "engine.cli", "engine.jobs.worker"}
