@@ -15,6 +15,7 @@ from typing import IO, Any
 
 import streamlit as st
 
+from dashboard.components.player.payload import Payload, build_payload
 from engine.cameras.files.own import format_calibration
 from engine.cameras.files.reading import read_calibration
 from engine.datatypes import Calibration, JointAngles, ViewInfo
@@ -22,6 +23,7 @@ from engine.errors import DataError, EngineError
 from engine.jobs.local import JobQueue
 from engine.kinematics.fitting import geometric
 from engine.storage.atomic import write_aside
+from engine.storage.curation import TrialRecord
 from engine.storage.library import Library
 from engine.storage.results import CALIBRATION_NAME, RESULT_FILES, StoredResult, read_result
 from engine.validate import compare_results
@@ -89,6 +91,33 @@ def result(trial_id: str) -> StoredResult:
 def _read_result(folder: str, stamp_ns: int) -> StoredResult:
     # Streamlit leaves arguments with a leading underscore out of the key.
     return read_result(Path(folder))
+
+
+def player_payload(trial_id: str) -> Payload:
+    """Return what the player shows of a trial.
+
+    Raises
+    ------
+    DataError
+        If there is no such trial, or its result is damaged.
+    """
+    return _build_payload(trial_id, str(result(trial_id).document["created"]))
+
+
+@st.cache_resource(max_entries=8, show_spinner=False)
+def _build_payload(trial_id: str, created: str) -> Payload:
+    return build_payload(result(trial_id))
+
+
+def record(trial_id: str) -> TrialRecord:
+    """Return what people added to a trial; never cached, since others add to it too.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such trial.
+    """
+    return library().record(trial_id)
 
 
 @st.cache_resource(max_entries=8, show_spinner=False)

@@ -39,6 +39,15 @@ LEVELS: dict[FlagLevel, LevelLabel] = {
 }
 NOT_JUDGED = LevelLabel("Not judged", "There is not enough to judge this.", "none")
 
+REVIEWS: dict[str, str] = {"accepted": "accepted", "rejected": "rejected", "open": "not reviewed"}
+"""What a person said to a flag."""
+ANSWERS: dict[str, str] = {
+    "accepted": "I agree",
+    "rejected": "I reject it",
+    "open": "Take my answer back",
+}
+"""What a person can say to a flag."""
+
 CHECK_LEVELS: dict[CheckLevel, LevelLabel] = {
     CheckLevel.GREEN: LevelLabel("Trusted", "The cameras agree with the world.", "ok"),
     CheckLevel.AMBER: LevelLabel("With care", "Something about the cameras is doubtful.", "review"),
@@ -439,3 +448,65 @@ TEST_STATISTICS = (
     ("MDC", "Minimal detectable change of the range of motion."),
     ("Curve test p", "Sign-flip permutation test of whole curves."),
 )
+
+
+# --------------------------------------------------------------------------- player
+
+PLAYER: dict[str, Any] = {
+    "title": "Video, skeleton, curves and flags on one time axis",
+    "video": "Annotated video {n}; heads are blurred",
+    "view": "View {n}",
+    "video_lost": "This video can't be played here. Everything else still moves with the cursor.",
+    "body": "Skeleton in three dimensions. Drag to turn it; the buttons give fixed views.",
+    "views": "Where the skeleton is seen from",
+    "view_oblique": "3/4",
+    "view_side": "Side",
+    "view_front": "Front",
+    "view_top": "Top",
+    "view_room": "Cameras",
+    "nearer": "Nearer",
+    "farther": "Farther",
+    "left": "left",
+    "right": "right",
+    "doubtful": "uncertain or filled in",
+    "no_3d": "This browser shows no 3D graphics (WebGL); the skeleton is drawn flat.",
+    "controls": "Playing",
+    "play": "Play (space)",
+    "pause": "Pause (space)",
+    "back": "One picture back (left arrow)",
+    "forward": "One picture on (right arrow)",
+    "speed": "Speed",
+    "readout": "{time} of {end} s · picture {frame}",
+    "frame": "picture",
+    "cursor": "Time",
+    "time": "Time, s",
+    "lifts": "Lifts",
+    "flags": "Flags",
+    "notes": "Notes",
+    "note": "Note",
+    "reach": "Reaching for the load",
+    "return": "Coming back up",
+    "no_lift": "No lift was found.",
+    "whole_trial": "Whole video:",
+    "at_flag": "{word}: {what}",
+    "jump": "Jump there.",
+    "joints": "Curves shown",
+    "no_angle": "No joint angle could be measured.",
+    "not_seen": MISSING,
+    "curve": "{label}: from {low}° to {high}°, missing {missing} % of the time.",
+    "curve_missing": "{label}: not seen.",
+    "keys": "Keys",
+    "key_list": [
+        ["Space, K", "play or pause"],
+        ["← →", "one picture back or on"],
+        ["Shift + ← →", "ten pictures"],
+        ["J L, ↓ ↑", "slower, faster"],
+        ["Home, End", "start, end"],
+        ["1 to 9", "jump to a flag"],
+        ["?", "show or hide the keys"],
+    ],
+}
+"""What the player says; the words in braces are filled in by it."""
+
+PLAYER_ACTIONS: dict[str, str] = {"note": "Note at this moment"}
+"""What can be asked for at the time of the cursor."""

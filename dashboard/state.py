@@ -20,6 +20,9 @@ _TRIAL = "trial"
 _JOB = "job"
 _REFERENCE_ROUND = "reference_round"
 _IMPROVE = "improve"
+_PLAYER_NUMBER = "player_number"
+_PLAYER_TIME = "player_time"
+_REVIEW_PROBLEM = "review_problem"
 
 SAMPLE_KEY = "sample"
 SOURCE_KEY = "source"
@@ -185,6 +188,62 @@ def _form_values(request: JobRequest) -> dict[str, Any]:
         "calibration": two_view.calibration,
         "offset_s": two_view.given_offset_s,
     }
+
+
+# --------------------------------------------------------------------------- player and review
+
+REVIEWER_KEY = "reviewer"
+"""The reviewer's name is kept for the whole visit."""
+
+
+def review_key(trial: str, field: str) -> str:
+    """Return the widget key of a field of the review of a trial."""
+    return f"review_{trial}_{field}"
+
+
+def review_value(trial: str, field: str, otherwise: Any = None) -> Any:
+    """Return what a field of the review holds."""
+    return st.session_state.get(review_key(trial, field), otherwise)
+
+
+def set_review_value(trial: str, field: str, value: Any) -> None:
+    """Fill a field of the review; only before it is shown, or in a callback."""
+    st.session_state[review_key(trial, field)] = value
+
+
+def take_player_event(trial: str, number: int) -> bool:
+    """Whether a request of the player is new; it counts as taken from then on."""
+    key = f"{_PLAYER_NUMBER}_{trial}"
+    is_new = number > st.session_state.get(key, 0)
+    if is_new:
+        st.session_state[key] = number
+    return is_new
+
+
+def note_time(trial: str) -> float | None:
+    """Return the moment that the next note is about; None for the whole trial."""
+    found: float | None = st.session_state.get(f"{_PLAYER_TIME}_{trial}")
+    return found
+
+
+def set_note_time(trial: str, at_s: float | None) -> None:
+    """Choose the moment that the next note is about."""
+    st.session_state[f"{_PLAYER_TIME}_{trial}"] = at_s
+
+
+def reviewer() -> str:
+    """Return the name that the user gave as a reviewer."""
+    return str(st.session_state.get(REVIEWER_KEY, "") or "")
+
+
+def set_review_problem(message: str) -> None:
+    """Remember why a review or a note was not kept."""
+    st.session_state[_REVIEW_PROBLEM] = message
+
+
+def take_review_problem() -> str:
+    """Return why the last review or note was not kept, once."""
+    return str(st.session_state.pop(_REVIEW_PROBLEM, ""))
 
 
 # --------------------------------------------------------------------------- improve

@@ -48,15 +48,30 @@ def show_title(result: StoredResult) -> None:
 
 def show_flags(result: StoredResult) -> None:
     """Show the most urgent flag as the verdict, and the others below it."""
-    flags = sorted(result.flags, key=lambda flag: URGENCY.index(flag.level))
+    show_verdict(result)
+    show_other_flags(result)
+
+
+def show_verdict(result: StoredResult) -> None:
+    """Show the most urgent flag as the verdict."""
+    flags = _by_urgency(result)
     st.html(_verdict_html(flags[0] if flags else None, result.risk.get(LIFTING_INDEX_METHOD)))
-    if len(flags) > 1:
-        first, more = flags[1:SHOWN_FLAGS], flags[SHOWN_FLAGS:]
-        with st.container(border=True):
-            st.html(f"<div>{''.join(map(_flag_html, first))}</div>")
-        if more:
-            with st.expander(labels.count(len(more), "more flag"), icon=":material/flag:"):
-                st.html(f"<div>{''.join(map(_flag_html, more))}</div>")
+
+
+def show_other_flags(result: StoredResult) -> None:
+    """Show the flags below the verdict, in words."""
+    first, more = _by_urgency(result)[1:SHOWN_FLAGS], _by_urgency(result)[SHOWN_FLAGS:]
+    if not first:
+        return
+    with st.container(border=True):
+        st.html(f"<div>{''.join(map(_flag_html, first))}</div>")
+    if more:
+        with st.expander(labels.count(len(more), "more flag"), icon=":material/flag:"):
+            st.html(f"<div>{''.join(map(_flag_html, more))}</div>")
+
+
+def _by_urgency(result: StoredResult) -> list[Flag]:
+    return sorted(result.flags, key=lambda flag: URGENCY.index(flag.level))
 
 
 def _verdict_html(flag: Flag | None, risk: RiskResult | None) -> str:
@@ -109,28 +124,6 @@ def _flag_html(flag: Flag) -> str:
         f"<div><b>{_words(flag.what)}</b><p>{_words(flag.why)}</p>{change}{_origin_html(flag)}"
         "</div></div>"
     )
-
-
-def show_video(result: StoredResult) -> None:
-    """Show the annotated video, from the start or from a lift on."""
-    if result.overlay_path is None:
-        st.info("This trial was saved without its annotated video.", icon=":material/videocam_off:")
-        return
-    starts = {"From the start": 0.0}
-    for number, lift in enumerate(result.lifts, start=1):
-        if not math.isnan(lift.start_s):
-            starts[f"Lift {number}"] = max(0.0, lift.start_s - 1.0)
-    slot = st.container()
-    chosen = st.segmented_control(
-        "Play", list(starts), default="From the start", required=True, label_visibility="collapsed"
-    )
-    with slot:
-        st.video(
-            str(result.overlay_path),
-            start_time=starts[chosen or "From the start"],
-            muted=True,
-            alt="The lift with the measured joints drawn on it; heads are blurred",
-        )
 
 
 def show_lifts(result: StoredResult) -> None:

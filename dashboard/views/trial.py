@@ -1,8 +1,8 @@
-"""One trial: the flags first, then what was measured, how it was judged, and how sure we are."""
+"""One trial: the verdict first, then what was measured, how it was judged, and how sure we are."""
 
 import streamlit as st
 
-from dashboard import cache, camera_parts, pages, state, trial_parts
+from dashboard import cache, camera_parts, pages, review_parts, state, trial_parts
 
 if st.button("All trials", icon=":material/arrow_back:", type="tertiary"):
     st.switch_page(pages.TRIALS)
@@ -13,16 +13,14 @@ if not trial_id:
 
 result = cache.result(trial_id)
 trial_parts.show_title(result)
-trial_parts.show_flags(result)
+trial_parts.show_verdict(result)
+st.subheader("What happened, moment by moment", anchor=False)
+review_parts.show_review(trial_id)
+trial_parts.show_other_flags(result)
 if st.button("Why and when: all methods, moment by moment", icon=":material/accessibility_new:"):
     st.switch_page(pages.RISK, query_params=state.trial_parameters(trial_id))
 
-video, posture = st.columns([5, 6], gap="large")
-with video:
-    st.subheader("What was filmed", anchor=False)
-    trial_parts.show_video(result)
-with posture:
-    st.subheader("How the body moved", anchor=False)
+with st.expander("The angles in detail, and before the correction", icon=":material/show_chart:"):
     trial_parts.show_angles(result)
 
 st.subheader("The lifts", anchor=False)

@@ -177,9 +177,11 @@ def test_the_flag_is_seen_and_the_result_downloaded(trial, open_page, home, tmp_
     verdict.wait_for()
     assert verdict.locator(".ll-chip").inner_text() in ("High risk", "Needs review", "No concern")
     assert page.locator("h1").inner_text() == "Crate from the floor"
-    video = page.locator("video")
+    video = page.frame_locator("iframe[title*=liftlens_player]").locator("video")
     video.wait_for()
-    page.wait_for_function("document.querySelector('video').readyState >= 1")
+    from playwright.sync_api import expect
+
+    expect(video).to_have_js_property("readyState", 4, timeout=30_000)
     with page.expect_download() as download:
         page.get_by_role("button", name="Whole result (zip)").click()
     download.value.save_as(tmp_path / "result.zip")

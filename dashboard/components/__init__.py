@@ -1,0 +1,1 @@
+"""Own components: what Streamlit has no widget for."""
