@@ -297,3 +297,30 @@ def turn_to_page(number: int) -> None:
 def turn_to_first_page() -> None:
     """Go back to the start of the list, since another choice makes another list."""
     st.query_params.pop(PAGE_KEY, None)
+
+
+# --------------------------------------------------------------------------- settings
+
+_SETTINGS_ROUND, _NOTICE = "settings_round", "notice"
+
+
+def settings_key(field: str) -> str:
+    """Return the widget key of a question that is asked anew once something was done."""
+    return f"settings_{field}_{st.session_state.get(_SETTINGS_ROUND, 0)}"
+
+
+def settings_value(field: str) -> Any:
+    """Return what a question on the page of settings holds now."""
+    return st.session_state.get(settings_key(field))
+
+
+def finish_setting(notice: str) -> None:
+    """Ask all questions anew, and say what was done."""
+    st.session_state[_SETTINGS_ROUND] = st.session_state.get(_SETTINGS_ROUND, 0) + 1
+    st.session_state[_NOTICE] = notice
+
+
+def take_notice() -> str | None:
+    """Return what was done, once."""
+    found: str | None = st.session_state.pop(_NOTICE, None)
+    return found
