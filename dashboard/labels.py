@@ -261,6 +261,16 @@ def format_measurement(measured: Measurement, unit: str, digits: int = 0) -> str
     return f"{format_number(measured.value, digits)}{error}{gap}{unit}"
 
 
+def format_bytes(size: int) -> str:
+    """Return a size in the largest unit that leaves at least 1."""
+    number, unit = float(size), "bytes"
+    for larger in ("kB", "MB", "GB", "TB"):
+        if number < 1000:
+            break
+        number, unit = number / 1000, larger
+    return f"{number:.0f} {unit}" if number >= 100 or unit == "bytes" else f"{number:.1f} {unit}"
+
+
 def format_index(value: float) -> str:
     """Return a lifting index to one decimal."""
     return format_number(value, 1)
