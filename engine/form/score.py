@@ -21,7 +21,7 @@ from engine.errors import ShapeError
 __all__ = ["HALVING_DEG", "WEIGHT_FLOOR_DEG", "Score", "angle_weights", "compute_score"]
 
 HALVING_DEG = 15.0
-"""A scale, not a finding: so that clearly different techniques of one lift spread over 50 to 100."""
+"""A scale, not a finding: clearly different techniques of one lift then score 50 to 80."""
 WEIGHT_FLOOR_DEG = 10.0
 """Angles known better than this weigh alike: form is no matter of single degrees."""
 

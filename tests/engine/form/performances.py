@@ -57,7 +57,7 @@ def make_squats(n=5, *, period_s=2.0, rest_s=1.0, fps=30.0, **more):
 
 
 def make_lift_clip(*, scale=1.0, stretch=1.0, fps=30.0, **more):
-    """Make one lift: reach 1 to 2 s, lift-off 2 s, set-down 3 s, return to 4 s (times stretched)."""
+    """Make one lift: reach from 1 s, lift-off 2 s, set-down 3 s, return to 4 s, stretched."""
     time_s = np.arange(0, 5 * stretch, 1 / fps)
     t = time_s / stretch
     bend = scale * np.interp(t, [0, 1, 2, 3, 4, 5], [0, 0, 1, 0.3, 0, 0])

@@ -1,0 +1,97 @@
+"""A picture of a comparison: aligned curves with their bands, phase by phase."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from engine.form.compare import Comparison
+from engine.form.performance import side_of
+from engine.form.phases import Phase
+
+__all__ = ["order_angles", "plot_comparison"]
+
+COLORS = ("#0072b2", "#c24e00")
+COVERAGE_FACTOR = 1.96
+MOST_ANGLES = 8
+
+
+def order_angles(comparison: Comparison) -> tuple[str, ...]:
+    """Return the compared angles, the one that differs most (over its error) first."""
+    ratio = np.abs(comparison.difference_deg) / comparison.difference_sigma_deg
+    order = np.argsort(-np.sqrt(np.mean(ratio**2, axis=0)), kind="stable")
+    return tuple(comparison.names[int(i)] for i in order)
+
+
+def plot_comparison(comparison: Comparison) -> bytes:
+    """Draw the angles that differ most over 0 to 100 % of the movement; return a PNG.
+
+    Bands are 95 % of each recording's own error; shades mark where the difference goes beyond
+    what repeats; dotted lines part the phases.
+    """
+    names = order_angles(comparison)[:MOST_ANGLES]
+    n_rows = math.ceil(len(names) / 2)
+    figure = Figure(figsize=(10, 2.4 * n_rows + 0.9), layout="constrained")
+    axes = figure.subplots(n_rows, 2, squeeze=False, sharex=True).ravel()
+    for ax, name in zip(axes, names, strict=False):
+        _plot_angle(ax, comparison, name)
+    for ax in axes[len(names) :]:
+        ax.set_axis_off()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    low, high = comparison.score.interval
+    figure.suptitle(
+        f"{comparison.attempt} against {comparison.reference}: score "
+        f"{comparison.score.value:.0f} ({low:.0f} to {high:.0f})"
+    )
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=120)
+    return buffer.getvalue()
+
+
+def _plot_angle(ax: Axes, comparison: Comparison, name: str) -> None:
+    i = comparison.names.index(name)
+    percent = comparison.percent
+    rows = (
+        ("Reference", comparison.reference_deg, comparison.reference_sigma_deg, "-"),
+        ("Attempt", comparison.attempt_deg, comparison.attempt_sigma_deg, "--"),
+    )
+    for (title, value, sigma, dash), color in zip(rows, COLORS, strict=True):
+        half = COVERAGE_FACTOR * sigma[:, i]
+        ax.fill_between(
+            percent, value[:, i] - half, value[:, i] + half, color=color, alpha=0.1, linewidth=0
+        )
+        ax.plot(percent, value[:, i], color=color, linestyle=dash, linewidth=1.8, label=title)
+    difference = np.abs(comparison.difference_deg[:, i])
+    is_beyond = difference > COVERAGE_FACTOR * comparison.difference_sigma_deg[:, i]
+    ax.fill_between(
+        percent,
+        comparison.reference_deg[:, i],
+        comparison.attempt_deg[:, i],
+        where=is_beyond.tolist(),
+        color="0.3",
+        alpha=0.25,
+        linewidth=0,
+        label="Beyond the error",
+    )
+    for at in phase_bounds(comparison.phases)[1:-1]:
+        ax.axvline(at, color="0.5", linewidth=0.8, linestyle=":")
+    parts = side_of(name)
+    side = f", {parts['side']}" if parts["side"] else ""
+    ax.set_title(parts["base"].replace("_", " ").capitalize() + side, fontsize=10, loc="left")
+    ax.set_ylabel("deg")
+    ax.set_xlim(0, 100)
+    ax.margins(y=0.08)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def phase_bounds(phases: tuple[Phase, ...]) -> list[float]:
+    """Return the bounds of the phases that are no moments, in percent of the movement."""
+    long = [p for p in phases if not p.is_moment]
+    start, end = long[0].start_s, long[-1].end_s
+    times = [long[0].start_s, *(p.end_s for p in long)]
+    return [100.0 * (t - start) / (end - start) for t in times]
