@@ -200,7 +200,8 @@ def run_variant(
     if variant.fusion == "model":
         from engine.kinematics.fusion import fuse_views
 
-        fused = fuse_views(views, placed.calibration.cameras, corrected, subject)
+        start = correct(raw, subject, min_confidence=0.0)
+        fused = fuse_views(views, placed.calibration.cameras, start, subject)
         corrected, fit = fused.track, fused.fit
     else:
         fit = select_solver(variant.solver).fit(corrected, subject)

@@ -201,7 +201,7 @@ def assess(
         str | None, typer.Option(help="How keypoints are cleaned: default, paper or none.")
     ] = None,
     fusion: Annotated[
-        str | None, typer.Option(help="How two views are joined: triangulate or model.")
+        str | None, typer.Option(help="How two views are joined: model (default) or triangulate.")
     ] = None,
     sync: Annotated[
         str | None,

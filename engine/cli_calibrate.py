@@ -223,9 +223,17 @@ def describe_calibration(calibration: Calibration) -> Iterator[str]:
         cosine = float(np.clip(one.rotation[2] @ two.rotation[2], -1.0, 1.0))
         angle = math.degrees(math.acos(cosine))
         yield f"{one.name} and {two.name}: {distance:.2f} m apart, {angle:.0f} degrees between them"
+    # From a person, errors of the cameras go together; those of the cameras alone stand apart.
+    own = calibration.provenance
     errors = [
-        (calibration.rotation_sigma_deg, "turned by {:.2g} degrees"),
-        (calibration.translation_sigma_m * 1000, "moved by {:.2g} mm"),
+        (
+            own.get("pose_rotation_sigma_deg", calibration.rotation_sigma_deg),
+            "turned by {:.2g} degrees",
+        ),
+        (
+            1000 * own.get("pose_translation_sigma_m", calibration.translation_sigma_m),
+            "moved by {:.2g} mm",
+        ),
         (calibration.scale_sigma * 100, "all lengths off by {:.2g} %"),
     ]
     known = [text.format(value) for value, text in errors if math.isfinite(value)]

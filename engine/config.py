@@ -159,13 +159,13 @@ class TwoViewConfig:
 
     `calibration` is the file of the two cameras; without it they are calibrated from the
     moving person. `sync` is `auto`, or the seconds to add to the times of the second video to get
-    those of the first. `fusion` is `triangulate` (each joint by itself) or `model` (a body fitted
-    to both pictures).
+    those of the first. `fusion` is `model` (a body fitted to both pictures) or `triangulate` (each
+    joint by itself, where the lines of sight meet).
     """
 
     calibration: str = ""
     sync: str = "auto"
-    fusion: Literal["triangulate", "model"] = "triangulate"
+    fusion: Literal["triangulate", "model"] = "model"
 
     def __post_init__(self) -> None:
         if self.sync != "auto":

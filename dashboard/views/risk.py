@@ -10,8 +10,11 @@ if trial_id is None:
     st.stop()
 result = cache.result(trial_id)
 risk_parts.show_subject(result)
-if st.button("Open the trial", icon=":material/open_in_new:", type="tertiary"):
-    st.switch_page(pages.TRIAL, query_params=state.trial_parameters(trial_id))
+with st.container(horizontal=True):
+    if st.button("Open the trial", icon=":material/open_in_new:", type="tertiary"):
+        st.switch_page(pages.TRIAL, query_params=state.trial_parameters(trial_id))
+    if st.button("What would help?", icon=":material/trending_down:", type="tertiary"):
+        st.switch_page(pages.IMPROVE, query_params=state.trial_parameters(trial_id))
 trial_parts.show_flags(result)
 
 st.subheader("Through the movement", anchor=False)

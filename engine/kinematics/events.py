@@ -100,6 +100,10 @@ class LiftFindings:
     warnings: tuple[str, ...]
 
 
+ALIKE = 1.5
+"""Up to this ratio errors along and across the line of sight count as alike: two views."""
+
+
 def compute_knuckles(
     track_position: Array, skeleton: Skeleton, side: str, *, sex: Sex | None = None
 ) -> Array:
@@ -147,9 +151,11 @@ def compute_hands(track: PoseTrack, scene: WorldScene, *, sex: Sex | None = None
         )
         for s in sides
     }
+    trust = _compare_errors(track, skeleton, scene)
     # A hidden hand's place is a guess; a small floor keeps it in when both are hidden.
     weight = {
-        s: np.where(np.isfinite(sides[s]).all(axis=1), certainty[s] ** 2 + 0.02, 0.0) for s in sides
+        s: np.where(np.isfinite(sides[s]).all(axis=1), trust[s] * (certainty[s] ** 2 + 0.02), 0.0)
+        for s in sides
     }
     total = weight["left"] + weight["right"]
     total = np.where(total > 0, total, np.nan)
@@ -169,6 +175,23 @@ def compute_hands(track: PoseTrack, scene: WorldScene, *, sex: Sex | None = None
         speed=_weighted_speed(velocity, scene),
         velocity=velocity,
     )
+
+
+def _compare_errors(track: PoseTrack, skeleton: Skeleton, scene: WorldScene) -> dict[str, Array]:
+    """Return by how much less each hand counts for a standard error larger than the other's.
+
+    One view knows neither hand along its line of sight, so there its errors don't tell which
+    hand is the better one.
+    """
+    trust = {s: np.ones(track.n_frames) for s in ("left", "right")}
+    if not scene.depth_sigma_m <= ALIKE * scene.plane_sigma_m:
+        return trust
+    sigma = {s: np.asarray(track.sigma[:, skeleton.index(f"{s}_wrist")]) for s in trust}
+    for own, other in (("left", "right"), ("right", "left")):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.minimum(1.0, sigma[other] / sigma[own]) ** 2
+        trust[own] = np.where(np.isfinite(share), share, 1.0)
+    return trust
 
 
 def _smooth(values: Array, time_s: Array) -> Array:

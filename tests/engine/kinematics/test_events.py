@@ -216,6 +216,31 @@ GEOMETRY = [
 ]
 
 
+class TestTwoHands:
+    """Which hand the middle follows when one is known worse than the other."""
+
+    KNUCKLES = ((0.40, 0.9, -0.2), (0.60, 0.9, 0.2))
+
+    def follow(self, left_sigma: float, **errors: float) -> float:
+        track = hold(ankles=((0.0, 0.1, -0.1), (0.0, 0.1, 0.1)), knuckles=self.KNUCKLES)
+        sigma = np.full(track.confidence.shape, 0.02)
+        sigma[:, COLUMN["left_wrist"]] = left_sigma
+        scene = make_scene(**errors)
+        mid = compute_hands(dataclasses.replace(track, sigma=sigma), scene).mid
+        return float(mid[5, 0])
+
+    def test_equal_errors_count_alike(self):
+        assert self.follow(0.02, plane_sigma_m=0.02, depth_sigma_m=0.02) == pytest.approx(0.5)
+
+    def test_with_two_views_the_worse_hand_hardly_counts(self):
+        near = 0.6 - 0.2 * (1 / 101)
+        found = self.follow(0.2, plane_sigma_m=0.02, depth_sigma_m=0.02)
+        assert found == pytest.approx(near, abs=1e-6)
+
+    def test_with_one_view_errors_along_the_line_of_sight_tell_nothing(self):
+        assert self.follow(0.2, plane_sigma_m=0.02, depth_sigma_m=0.08) == pytest.approx(0.5)
+
+
 class TestMeasureEnd:
     @pytest.mark.parametrize(("ankles", "knuckles", "H", "V", "A"), GEOMETRY)
     @pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 135.0, -120.0])
