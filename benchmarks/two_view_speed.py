@@ -46,6 +46,11 @@ def time_best(work: Callable[[], object], rounds: int) -> float:
     return float(best)
 
 
+def report(name: str, seconds: float, one_view_s: float) -> str:
+    """Return a line: what, how long, and as a share of the landmarks of one view."""
+    return f"{name:32s} {seconds:7.2f} s  {seconds / one_view_s:5.2f}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5)
@@ -80,12 +85,11 @@ def main() -> None:
         f"Clip of {frames} pictures a view; best of {options.rounds} rounds.",
         "",
         f"{'landmarks of one view':32s} {one_view_s:7.2f} s",
-        *(f"{name:32s} {s:7.2f} s  {s / one_view_s:5.2f}" for name, s in spent.items()),
-        f"{'these together':32s} {sum(spent.values()):7.2f} s  "
-        f"{sum(spent.values()) / one_view_s:5.2f} (limit {LIMIT})",
-        f"{'whole assessment after landmarks':32s} {whole_s:7.2f} s  {whole_s / one_view_s:5.2f}",
-        f"self-calibration per 10 s of film: {spent['self-calibration'] * 300 / frames:.2f} s at most"
-        f" (it takes a fixed number of pictures; limit {CALIBRATION_LIMIT_S:g} s)",
+        *(report(name, seconds, one_view_s) for name, seconds in spent.items()),
+        report("these together", sum(spent.values()), one_view_s) + f" (limit {LIMIT})",
+        report("whole assessment after landmarks", whole_s, one_view_s),
+        f"self-calibration: limit {CALIBRATION_LIMIT_S:g} s for a clip of 10 s; it takes a fixed",
+        "number of pictures, so that longer clips take hardly longer.",
     ]
     text = "\n".join(lines) + "\n"
     print(text)
