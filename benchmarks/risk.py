@@ -1,4 +1,4 @@
-"""How far risk results from one camera are from those of the true posture, on synthetic lifts.
+"""How far risk results from one or two cameras are from those of the true posture, synthetic lifts.
 
 Run from the project folder::
 
@@ -13,6 +13,7 @@ Nothing in the product was chosen on the persons P07 and P08.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import platform
@@ -24,16 +25,17 @@ import numpy as np
 import pandas as pd
 from monocular_lifts import LOAD_KG, TEST_PERSONS, Truth, find_videos, load_pose, read_truth
 from threadpoolctl import threadpool_limits
+from two_view_data import read_given_calibration
 
 from engine import Config, Subject, Task, Trial, TrialResult, View
-from engine.datatypes import Lift, LiftEnd, Measurement, PoseTrack, RiskResult
+from engine.datatypes import Camera, Lift, LiftEnd, Measurement, PoseTrack, RiskResult
 from engine.ergonomics.assess import assess_risk
 from engine.ergonomics.base import Exposure, select_methods
 from engine.ergonomics.methods.rnle import LEVELS, classify
 from engine.ergonomics.posture_scores import decode_runs
 from engine.ergonomics.upper_body import compute_back_load, measure_upper_body
 from engine.kinematics.fitting.base import select_solver
-from engine.pipeline import assess_pose
+from engine.pipeline import assess_poses
 from engine.skeletons import MEDIAPIPE_33
 
 POSTURE = ("reba", "rula")
@@ -47,6 +49,13 @@ TASK = Task(
     destination_control=True,
 )
 TRUE_NAMES = {"bigtoe": "big_toe"}
+VIEWS = {
+    "cam90": ("cam90",),
+    "cam135": ("cam135",),
+    "two": ("cam90", "cam135"),
+    "two, cameras given": ("cam90", "cam135"),
+}
+"""From the right side, from the right rear, and both: cameras found from the person, or given."""
 N_BOOTSTRAP = 2000
 LOADS_KG = (5.0, 10.0, 15.0, 20.0)
 """Loads over which the classes of the lifting index are compared."""
@@ -102,17 +111,28 @@ def true_exposure(folder: Path, truth: Truth, subject: Subject) -> Exposure:
     return Exposure(track, angles, (true_lift(truth),), subject, TASK, observed_s)
 
 
-def measure(video: Path, poses: Path) -> dict[str, float | str]:
-    """Assess one video and compare every method with the same method on the truth."""
-    truth, subject = read_truth(video.parent), read_subject(video.parent.parent)
-    trial = Trial(views=(View(video),), subject=subject, task=TASK)
-    result = assess_pose(trial, load_pose(video, poses, Config()), Config())
-    true = true_exposure(video.parent, truth, subject)
+def assess_views(folder: Path, views: str, poses: Path, subject: Subject) -> TrialResult:
+    """Assess one trial as one camera or both see it; both with exact cameras or with none known."""
+    names = VIEWS[views]
+    videos = [folder / f"{name}.mp4" for name in names]
+    seen = [load_pose(video, poses, Config()) for video in videos]
+    cameras: tuple[Camera | None, ...] = (None,) * len(names)
+    if views == "two, cameras given":
+        cameras = read_given_calibration(folder.parent).cameras
+    files = tuple(View(v, camera=c) for v, c in zip(videos, cameras, strict=True))
+    return assess_poses(Trial(views=files, subject=subject, task=TASK), seen, Config())
+
+
+def measure(folder: Path, views: str, poses: Path) -> dict[str, float | str]:
+    """Assess one trial and compare every method with the same method on the truth."""
+    truth, subject = read_truth(folder), read_subject(folder.parent)
+    result = assess_views(folder, views, poses, subject)
+    true = true_exposure(folder, truth, subject)
     expected = assess_risk(true)
     row: dict[str, float | str] = {
-        "trial": video.parent.name,
-        "camera": video.stem,
-        "persons": "test" if video.parent.name[:3] in TEST_PERSONS else "training",
+        "trial": folder.name,
+        "camera": views,
+        "persons": "test" if folder.name[:3] in TEST_PERSONS else "training",
         "lifts": len(result.lifts),
         **{f"cpu_s {k}": v for k, v in time_methods(result).items()},
     }
@@ -333,29 +353,32 @@ def main() -> None:
     """Run the comparison and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data/synthetic_lifts"))
-    parser.add_argument("--poses", type=Path, default=Path(".benchmark_cache/monocular_new"))
+    parser.add_argument("--poses", type=Path, default=Path(".benchmark_cache/monocular_lifts"))
     parser.add_argument("--cache", type=Path, default=Path(".benchmark_cache/risk"))
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/risk"))
     parser.add_argument("--persons", nargs="*", help="for example P01 P07; all if left out")
+    parser.add_argument("--views", nargs="*", choices=VIEWS, help="all if left out")
     parser.add_argument("--seed", type=int, default=0, help="of the interval of kappa")
     parser.add_argument("--fresh", action="store_true", help="forget cached answers")
     options = parser.parse_args()
     options.cache.mkdir(parents=True, exist_ok=True)
     persons = options.persons or sorted(p.name for p in options.data.glob("P*"))
     rows = []
-    for video in find_videos(options.data, persons):
-        file = options.cache / f"{video.parent.name}_{video.stem}.json"
+    folders = sorted({video.parent for video in find_videos(options.data, persons)})
+    for folder, views in itertools.product(folders, options.views or VIEWS):
+        file = options.cache / f"{folder.name}_{views.replace(', ', '_').replace(' ', '_')}.json"
         if options.fresh or not file.exists():
             part = file.with_suffix(".part")
-            part.write_text(json.dumps(measure(video, options.poses)))
+            part.write_text(json.dumps(measure(folder, views, options.poses)))
             part.rename(file)
-            print(f"{video.parent.name} {video.stem}", flush=True)
+            print(f"{folder.name} {views}", flush=True)
         rows.append(json.loads(file.read_text()))
     table = pd.DataFrame(rows)
     only = f" --persons {' '.join(options.persons)}" if options.persons else ""
     head = (
-        "Risk from one camera against the same methods on the true posture, synthetic lifts of "
-        f"{LOAD_KG:g} kg.\nCommand: python benchmarks/risk.py --seed {options.seed}{only}. "
+        "Risk from one or two cameras against the same methods on the true posture, lifts of "
+        f"{LOAD_KG:g} kg (synthetic).\n"
+        f"Command: python benchmarks/risk.py --seed {options.seed}{only}. "
         f"{platform.machine()}, Python {platform.python_version()}\n"
         "MAE: mean absolute error; in brackets the mean signed error.\n"
     )
