@@ -156,9 +156,7 @@ def _distortion_jacobian(flat: Array, coefficients: Array) -> Array:
 
 
 def _determinant(matrix: Array) -> Array:
-    return np.asarray(
-        matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-    )
+    return np.asarray(matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0])
 
 
 def _solve_2x2(matrix: Array, right: Array) -> Array:
