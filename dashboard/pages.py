@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import streamlit as st
 from streamlit.navigation.page import Page
 
@@ -12,18 +14,39 @@ REFERENCE = "views/reference.py"
 RISK = "views/risk.py"
 IMPROVE = "views/improve.py"
 CAMERAS = "views/cameras.py"
+MANAGE = "views/manage.py"
+SETTINGS = "views/settings.py"
+TRAIN = "views/train.py"
 
 
-def build() -> list[Page]:
-    """Return the pages; a trial's page is reached through the list or its address only."""
-    return [
-        st.Page(TRIALS, title="Trials", icon=":material/list:", url_path="trials", default=True),
-        st.Page(NEW_ASSESSMENT, title="New assessment", icon=":material/add:", url_path="new"),
-        st.Page(RISK, title="Risk", icon=":material/accessibility_new:", url_path="risk"),
-        st.Page(IMPROVE, title="Improve", icon=":material/trending_down:", url_path="improve"),
-        st.Page(
-            REFERENCE, title="Reference", icon=":material/compare_arrows:", url_path="reference"
-        ),
-        st.Page(CAMERAS, title="Cameras", icon=":material/videocam:", url_path="cameras"),
-        st.Page(TRIAL, title="Trial", url_path="trial", visibility="hidden"),
-    ]
+def _train() -> dict[str, list[Page]]:
+    if not (Path(__file__).parent / TRAIN).is_file():
+        return {}
+    icon = ":material/fitness_center:"
+    return {"Train": [st.Page(TRAIN, title="Compare form", icon=icon, url_path="train")]}
+
+
+def build() -> dict[str, list[Page]]:
+    """Return the pages by section; a trial's page is reached through the list or its address."""
+    return {
+        "Review": [
+            st.Page(
+                TRIALS, title="Trials", icon=":material/list:", url_path="trials", default=True
+            ),
+            st.Page(NEW_ASSESSMENT, title="New assessment", icon=":material/add:", url_path="new"),
+            st.Page(RISK, title="Risk", icon=":material/accessibility_new:", url_path="risk"),
+            st.Page(IMPROVE, title="Improve", icon=":material/trending_down:", url_path="improve"),
+            st.Page(
+                REFERENCE, title="Reference", icon=":material/compare_arrows:", url_path="reference"
+            ),
+            st.Page(CAMERAS, title="Cameras", icon=":material/videocam:", url_path="cameras"),
+            st.Page(TRIAL, title="Trial", url_path="trial", visibility="hidden"),
+        ],
+        "Manage": [
+            st.Page(MANAGE, title="Overview", icon=":material/bar_chart:", url_path="manage"),
+        ],
+        **_train(),
+        "Settings": [
+            st.Page(SETTINGS, title="Settings", icon=":material/settings:", url_path="settings"),
+        ],
+    }

@@ -299,6 +299,30 @@ def turn_to_first_page() -> None:
     st.query_params.pop(PAGE_KEY, None)
 
 
+_EDIT, _EDIT_PROBLEM = "edit", "edit_problem"
+
+
+def edit_key(identifier: str, field: str) -> str:
+    """Return the widget key of what a trial is called."""
+    return f"{_EDIT}_{field}_{identifier}"
+
+
+def edit_value(identifier: str, field: str) -> Any:
+    """Return what was typed as a trial's name, site, job, person or tags."""
+    return st.session_state[edit_key(identifier, field)]
+
+
+def set_edit_problem(message: str) -> None:
+    """Remember why a trial could not be named so."""
+    st.session_state[_EDIT_PROBLEM] = message
+
+
+def take_edit_problem() -> str | None:
+    """Return why a trial could not be named so, once."""
+    found: str | None = st.session_state.pop(_EDIT_PROBLEM, None)
+    return found
+
+
 # --------------------------------------------------------------------------- settings
 
 _SETTINGS_ROUND, _NOTICE = "settings_round", "notice"

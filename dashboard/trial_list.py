@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from html import escape
 from typing import Literal
 
 import streamlit as st
 
-from dashboard import pages, state
-from dashboard.labels import JOB_STATES
+from dashboard import cache, manage_cache, pages, state
+from dashboard.labels import JOB_STATES, LEVELS, NOT_JUDGED, count
 from dashboard.widgets import (
     ASSETS,
     chip_html,
@@ -18,42 +23,277 @@ from dashboard.widgets import (
     level_label,
     show_job_status,
 )
+from engine.datatypes import FlagLevel
+from engine.errors import EngineError
 from engine.jobs.local import JobQueue, JobState, JobStatus
-from engine.storage.library import TrialEntry
+from engine.storage.entries import Order
+from engine.storage.library import Library, TrialEntry, TrialPage
 
 POLL_S = 2.0
+PAGE_SIZE = 20
+NOT_JUDGED_KEY = "none"
+LEVEL_WORDS = {level.value: LEVELS[level].word for level in LEVELS} | {
+    NOT_JUDGED_KEY: NOT_JUDGED.word
+}
+ORDERS: dict[Order, str] = {
+    "newest": "Newest first",
+    "oldest": "Oldest first",
+    "level": "Most urgent first",
+    "index": "Highest index first",
+    "label": "By name",
+}
+PERIODS: dict[str, int | None] = {
+    "Any time": None,
+    "Last 7 days": 7,
+    "Last 30 days": 30,
+    "Last 12 months": 365,
+}
+Action = Literal["open", "edit", "delete"]
 
 
-def matches(entry: TrialEntry, words: str) -> bool:
-    """Whether every word of a search stands in an entry."""
-    text = " ".join((entry.label, entry.subject, entry.site, entry.job, entry.category)).casefold()
-    return all(word in text for word in words.casefold().split())
+# --------------------------------------------------------------------------- finding
 
 
-def show_entry(entry: TrialEntry) -> Literal["open", "delete"] | None:
-    """Show one trial; return what the user wants with it."""
-    action: Literal["open", "delete"] | None = None
-    with st.container(border=True, key=f"entry-{entry.id}"):
-        picture, facts, index, flag, buttons = st.columns(
-            [1.3, 3.6, 1.7, 1.5, 1.7], vertical_alignment="center"
+@dataclass(frozen=True)
+class Choice:
+    """What the user looks for; None or empty does not narrow."""
+
+    words: str
+    levels: tuple[str, ...]
+    site: str | None
+    job: str | None
+    person: str | None
+    tags: tuple[str, ...]
+    days: int | None
+    order: Order
+
+    def describe(self) -> str:
+        """Return what is looked for, in words."""
+        words = self.words.strip()
+        return f"“{words}”" if words else "these filters"
+
+    def find(self, library: Library, page: int) -> TrialPage:
+        """Return one page, counted from 1, of what matches."""
+        levels = {None if one == NOT_JUDGED_KEY else FlagLevel(one) for one in self.levels}
+        since = None if self.days is None else datetime.now().astimezone()
+        return library.query(
+            search=self.words,
+            level=levels or None,
+            site=self.site,
+            job=self.job,
+            person=self.person,
+            tags=self.tags,
+            since=None if since is None else since - timedelta(days=self.days or 0),
+            order=self.order,
+            limit=PAGE_SIZE,
+            offset=(page - 1) * PAGE_SIZE,
         )
-        picture.html(image_html(entry.thumbnail_path))
-        facts.html(entry_html(entry))
-        if not entry.is_damaged:
-            index.html(index_html(entry))
-            flag.html(chip_html(level_label(entry.worst_level)))
+
+
+def choose() -> Choice:
+    """Ask what to look for; the answers stand in the address."""
+    words = st.text_input(
+        "Search",
+        placeholder="Search by name, person, site, job or tag",
+        icon=":material/search:",
+        label_visibility="collapsed",
+        key=state.SEARCH_KEY,
+        bind="query-params",
+        on_change=state.turn_to_first_page,
+    )
+    with st.container(horizontal=True, horizontal_alignment="distribute"):
+        levels = st.pills(
+            "Level",
+            list(LEVEL_WORDS),
+            selection_mode="multi",
+            format_func=LEVEL_WORDS.__getitem__,
+            label_visibility="collapsed",
+            key=state.LEVEL_KEY,
+            bind="query-params",
+            on_change=state.turn_to_first_page,
+        )
+        with st.popover("Filter and sort", icon=":material/tune:", key="more-filters"):
+            site, job, person, tags, days, order = _choose_more()
+    return Choice(words or "", tuple(levels), site, job, person, tags, days, order)
+
+
+def _choose_more() -> tuple[str | None, str | None, str | None, tuple[str, ...], int | None, Order]:
+    choices = manage_cache.choices()
+    site = _pick("Site", list(choices.sites), "All sites", state.SITE_KEY)
+    job = _pick("Job", list(choices.jobs), "All jobs", state.WORK_KEY)
+    person = _pick("Person", list(choices.people), "Everybody", state.PERSON_KEY)
+    tags = st.multiselect(
+        "Tags, all of them",
+        list(choices.tags),
+        placeholder="Any",
+        key=state.TAGS_KEY,
+        bind="query-params",
+        on_change=state.turn_to_first_page,
+    )
+    period = st.selectbox(
+        "Assessed",
+        list(PERIODS),
+        key=state.PERIOD_KEY,
+        bind="query-params",
+        on_change=state.turn_to_first_page,
+    )
+    order = st.selectbox(
+        "Sort",
+        list(ORDERS),
+        format_func=ORDERS.__getitem__,
+        key=state.ORDER_KEY,
+        bind="query-params",
+        on_change=state.turn_to_first_page,
+    )
+    return site, job, person, tuple(tags), PERIODS[period or "Any time"], order or "newest"
+
+
+def _pick(title: str, options: Sequence[str], nothing: str, key: str) -> str | None:
+    return st.selectbox(
+        title,
+        options,
+        index=None,
+        placeholder=nothing,
+        key=key,
+        bind="query-params",
+        on_change=state.turn_to_first_page,
+    )
+
+
+def show_count(found: TrialPage) -> None:
+    """Say how many match, and how many of each level."""
+    parts = [
+        f"{found.levels[level]} {level_label(level).word.lower()}"
+        for level in (*LEVELS, None)
+        if found.levels.get(level)
+    ]
+    st.caption(" · ".join([f"**{count(found.total, 'trial')}**", *parts]))
+
+
+def show_pages(total: int) -> None:
+    """Let the user turn the pages of the list."""
+    n_pages, page = max(1, math.ceil(total / PAGE_SIZE)), state.list_page()
+    if n_pages == 1:
+        return
+    with st.container(horizontal=True, horizontal_alignment="center", vertical_alignment="center"):
+        for text, to, icon, is_end in (
+            ("Back", page - 1, ":material/chevron_left:", page <= 1),
+            ("Next", page + 1, ":material/chevron_right:", page >= n_pages),
+        ):
+            if to > page:
+                st.markdown(f"Page {page} of {n_pages}")
+            st.button(
+                text,
+                key=f"page-{text.lower()}",
+                icon=icon,
+                disabled=is_end,
+                on_click=state.turn_to_page,
+                args=(to,),
+            )
+
+
+# --------------------------------------------------------------------------- entries
+
+
+def show_entry(entry: TrialEntry) -> Action | None:
+    """Show one trial; return what the user wants with it."""
+    with st.container(border=True, key=f"entry-{entry.id}"):
+        card, buttons = st.columns([8.1, 1.9], vertical_alignment="center")
+        card.html(_card_html(entry))
         with buttons.container(horizontal=True, horizontal_alignment="right"):
-            if not entry.is_damaged and st.button("Open", key=f"open-{entry.id}"):
-                action = "open"
-            if st.button(
-                "",
-                key=f"delete-{entry.id}",
-                icon=":material/delete:",
-                type="tertiary",
-                help="Delete this trial",
-            ):
-                action = "delete"
+            return _ask_action(entry)
+
+
+def _card_html(entry: TrialEntry) -> str:
+    """Return a trial as one piece of HTML: a list of many widgets is slow to draw."""
+    tags = "".join(f'<span class="ll-label">{escape(tag)}</span>' for tag in entry.tags)
+    notes = f"<span>{count(entry.n_notes, 'note')}</span>" if entry.n_notes else ""
+    under = f'<div class="ll-labels">{tags}{notes}</div>' if tags or notes else ""
+    judged = (
+        ""
+        if entry.is_damaged
+        else f"{index_html(entry)}<div>{chip_html(level_label(entry.worst_level))}</div>"
+    )
+    return (
+        f'<div class="ll-entry">{image_html(entry.thumbnail_path)}'
+        f"<div>{entry_html(entry)}{under}</div>{judged}</div>"
+    )
+
+
+def _ask_action(entry: TrialEntry) -> Action | None:
+    action: Action | None = None
+    if not entry.is_damaged:
+        if st.button("Open", key=f"open-{entry.id}"):
+            action = "open"
+        if st.button(
+            "",
+            key=f"edit-{entry.id}",
+            icon=":material/edit:",
+            type="tertiary",
+            help="Name, site, job, person and tags",
+        ):
+            action = "edit"
+    if st.button(
+        "",
+        key=f"delete-{entry.id}",
+        icon=":material/delete:",
+        type="tertiary",
+        help="Delete this trial",
+    ):
+        action = "delete"
     return action
+
+
+EDITED = (
+    ("label", "Name", "Crate to shelf", ""),
+    ("site", "Site", "Hall 3", ""),
+    ("job", "Job", "Depalletising", ""),
+    ("person", "Person", "P07", "A pseudonym, never the name."),
+)
+
+
+@st.dialog("Name this trial", icon=":material/edit:")
+def edit_entry(entry: TrialEntry) -> None:
+    """Correct how a trial is called and where it belongs."""
+    present = {"label": entry.label, "site": entry.site, "job": entry.job, "person": entry.subject}
+    with st.form("edit-trial", border=False):
+        for field, title, example, tip in EDITED:
+            key = state.edit_key(entry.id, field)
+            st.text_input(title, present[field], key=key, placeholder=example, help=tip or None)
+        st.multiselect(
+            "Tags",
+            sorted({*manage_cache.choices().tags, *entry.tags}),
+            default=entry.tags,
+            accept_new_options=True,
+            key=state.edit_key(entry.id, "tags"),
+        )
+        is_sent = st.form_submit_button(
+            "Save", type="primary", key="edit-save", on_click=_save_names, args=(entry,)
+        )
+    if not is_sent:
+        return
+    if not show_edit_problem():
+        st.rerun()
+
+
+def _save_names(entry: TrialEntry) -> None:
+    """Keep what was typed; a problem is shown where it was typed, so that nothing is lost."""
+    names = {field: state.edit_value(entry.id, field).strip() for field, *_ in EDITED}
+    tags = state.edit_value(entry.id, "tags")
+    try:
+        cache.library().edit(entry.id, version=entry.version, tags=tags, **names)
+    except EngineError as error:
+        state.set_edit_problem(str(error))
+    else:
+        manage_cache.forget_summaries()
+
+
+def show_edit_problem() -> bool:
+    """Say why a trial could not be named so; return whether there is a reason."""
+    problem = state.take_edit_problem()
+    if problem:
+        st.error(problem, icon=":material/error:")
+    return bool(problem)
 
 
 @st.dialog("Delete this trial?", icon=":material/delete:")
@@ -78,34 +318,51 @@ def confirm_deletion(entry: TrialEntry) -> None:
             st.rerun()
 
 
-def show_empty(*, has_samples: bool) -> None:
-    """Invite to the first assessment."""
-    offer = " or try a bundled sample" if has_samples else ""
+def show_empty(queue: JobQueue) -> None:
+    """Show what there is to try before the first own video."""
+    samples = cache.samples()
     icon = image_uri(ASSETS / "icon.svg")
+    offer = " Or see at once what comes out, on the samples below." if samples else ""
     with st.container(border=True):
         st.html(
             f'<div class="ll-empty"><img alt="" src="{icon}"><h2>No trials yet</h2>'
-            "<p>Film somebody who lifts, from "
-            f"the side, with one phone. Add the video{offer}: LiftLens measures the lift, says "
-            "how sure it is, and flags what to change.</p></div>"
+            "<p>Film somebody who lifts, from the side, with one phone. Add the video: LiftLens "
+            f"measures the lift, says how sure it is, and flags what to change.{offer}</p></div>"
         )
         with st.container(horizontal=True, horizontal_alignment="center"):
             if st.button("Add a video", key="first-upload", type="primary"):
                 st.switch_page(pages.NEW_ASSESSMENT)
-            if has_samples and st.button("Try a sample", key="first-sample"):
+            if samples and st.button("Choose a sample", key="first-sample"):
                 state.choose_sample_source()
                 st.switch_page(pages.NEW_ASSESSMENT)
         st.space("small")
+    if samples:
+        _show_samples(queue, samples)
 
 
-def show_jobs(queue: JobQueue) -> None:
-    """Show the assessments that wait, run or went wrong."""
+def _show_samples(queue: JobQueue, samples: Sequence[cache.Sample]) -> None:
+    with st.container(horizontal=True, horizontal_alignment="distribute"):
+        st.subheader("Samples", anchor=False, width="content")
+        if st.button("Assess all samples", key="first-demo", icon=":material/play_arrow:"):
+            for request in manage_cache.sample_requests():
+                queue.submit(request)
+            st.rerun()
+    for sample, column in zip(samples, st.columns(len(samples)), strict=True):
+        with column.container(border=True, height="stretch"):
+            st.video(str(sample.path), muted=True)
+            st.markdown(f"**{_plain(sample.title)}**")
+            st.caption(_plain(sample.note))
+
+
+def show_jobs(queue: JobQueue) -> bool:
+    """Show the assessments that wait, run or went wrong; return whether there is any."""
     jobs = [job for job in queue.jobs() if job.state not in (JobState.DONE, JobState.CANCELLED)]
     is_busy = any(not job.state.is_over for job in jobs)
     if is_busy:
         _poll_jobs(queue, len(jobs))
     elif jobs:
         _list_jobs(queue, jobs)
+    return bool(jobs)
 
 
 @st.fragment(run_every=POLL_S)

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from dashboard import cache, form, pages, state
+from dashboard import cache, form, manage_cache, pages, state
 from dashboard.progress import follow
 
 queue = cache.job_queue()
@@ -43,7 +43,7 @@ with st.container(width=form.WIDTH_PX):
         "what is kept are annotated copies with blurred heads."
     )
 if start and videos:
-    job_id = queue.submit(form.read_request(videos))
+    job_id = queue.submit(manage_cache.with_preferences(form.read_request(videos)))
     form.clear()
     state.set_job_id(job_id)
     st.rerun()

@@ -1,37 +1,41 @@
-"""The list of trials: search, open, delete; and the assessments that still run."""
+"""The list of trials: search, filter, open, name, delete; and the assessments that still run."""
 
 import streamlit as st
 
-from dashboard import cache, pages, state
-from dashboard.trial_list import confirm_deletion, matches, show_empty, show_entry, show_jobs
+from dashboard import cache, manage_cache, pages, state, trial_list
 
 queue, library = cache.job_queue(), cache.library()
 if doomed := state.take_deletion():
     library.delete(doomed)
-entries = library.entries()
+    manage_cache.forget_summaries()
 
 with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="bottom"):
     st.title("Trials", anchor=False, width="content")
     if st.button("New assessment", type="primary", icon=":material/add:"):
         st.switch_page(pages.NEW_ASSESSMENT)
 
-show_jobs(queue)
-if not entries:
-    show_empty(has_samples=bool(cache.samples()))
+is_busy = trial_list.show_jobs(queue)
+if library.is_empty:
+    if not is_busy:
+        trial_list.show_empty(queue)
     st.stop()
 
-words = st.text_input(
-    "Search",
-    placeholder="Search by name, person, site or job",
-    icon=":material/search:",
-    label_visibility="collapsed",
-)
-found = [entry for entry in entries if matches(entry, words)]
-if not found:
-    st.info(f"No trial matches “{words}”. Try fewer words.", icon=":material/search_off:")
-for entry in found:
-    action = show_entry(entry)
+trial_list.show_edit_problem()
+choice = trial_list.choose()
+found = choice.find(library, state.list_page())
+if not found.total:
+    st.info(
+        f"No trial matches {choice.describe()}. Try fewer words or other filters.",
+        icon=":material/search_off:",
+    )
+    st.stop()
+trial_list.show_count(found)
+for entry in found.entries:
+    action = trial_list.show_entry(entry)
     if action == "open":
         st.switch_page(pages.TRIAL, query_params=state.trial_parameters(entry.id))
+    if action == "edit":
+        trial_list.edit_entry(entry)
     if action == "delete":
-        confirm_deletion(entry)
+        trial_list.confirm_deletion(entry)
+trial_list.show_pages(found.total)

@@ -2,11 +2,10 @@ import time
 
 import pytest
 
-from dashboard import cache
-from dashboard.trial_list import matches
+from dashboard import cache, manage_cache
+from dashboard.trial_list import PAGE_SIZE
 from engine.errors import ConfigError
 from engine.jobs.local import JobRequest, JobState
-from engine.storage.library import TrialEntry
 from engine.storage.results import write_result
 from tests.builders import make_trial_result
 from tests.dashboard.results import add_trial
@@ -77,13 +76,110 @@ def test_search_narrows_the_list(app, library, tmp_path, trial_id):
     assert "No trial matches" in app.info[0].value
 
 
+def test_filters_stand_in_the_address_and_narrow(app, library, trial_id):
+    write_result(make_trial_result(lis=(float("nan"),)), library.folder("plain"))
+    app.query_params["level"] = "Not judged"
+    app.run()
+    assert "open-plain" in {button.key for button in app.button}
+    assert f"open-{trial_id}" not in {button.key for button in app.button}
+    assert "**1 trial** · 1 high risk · 1 not judged" in captions(app)
+
+
+def test_a_trial_is_found_by_what_people_called_it(app, library, trial_id):
+    app.run()
+    library.edit(trial_id, version=1, site="Hall 3", job="Packing", tags=["pilot"])
+    manage_cache.forget_summaries()
+    app.run()
+    assert "Hall 3 · Packing" in html(app)
+    assert '<span class="ll-label">pilot</span>' in html(app)
+    app.text_input(key="search").set_value("packing PILOT").run()
+    assert "Crate to shelf" in html(app)
+
+
 @pytest.mark.parametrize(
-    ("words", "expected"),
-    [("", True), ("p01", True), ("hall crate", True), ("hall sack", False)],
+    ("filters", "expected"),
+    [
+        ({"site": "Hall 4"}, {"open-a"}),
+        ({"work": "Loading"}, {"open-b"}),
+        ({"person": "P02"}, {"open-b"}),
+        ({"tags": "pilot"}, {"open-a"}),
+        ({"site": "Hall 4", "work": "Loading"}, set()),
+    ],
 )
-def test_every_word_of_a_search_must_match(words, expected):
-    entry = TrialEntry("a", "done", label="Crate", subject="P01", site="Hall 3")
-    assert matches(entry, words) is expected
+def test_filters_of_the_address_hold(app, library, filters, expected):
+    for name in "ab":
+        write_result(make_trial_result(), library.folder(name))
+    library.entries()
+    library.edit("a", version=1, site="Hall 4", tags=["pilot"])
+    library.edit("b", version=1, job="Loading", person="P02")
+    manage_cache.forget_summaries()
+    for name, value in filters.items():
+        app.query_params[name] = value
+    app.run()
+    assert opened(app) == expected
+
+
+def test_a_long_list_has_pages(app, library, tmp_path):
+    result = make_trial_result()
+    for number in range(PAGE_SIZE + 2):
+        write_result(result, library.folder(f"t{number:03d}"))
+    app.run()
+    assert len(opened(app)) == PAGE_SIZE
+    first = opened(app)
+    app.button(key="page-next").click().run()
+    assert len(opened(app)) == 2
+    assert not first & opened(app)
+    assert app.query_params["page"] == "2"
+    assert app.button(key="page-next").disabled
+    app.text_input(key="search").set_value("e").run()
+    assert "page" not in app.query_params
+
+
+def test_a_trial_gets_name_site_job_and_tags(app, library, trial_id):
+    app.run()
+    app.button(key=f"edit-{trial_id}").click().run()
+    app.text_input(key=f"edit_label_{trial_id}").set_value("Crate to rack")
+    app.text_input(key=f"edit_site_{trial_id}").set_value(" Hall 4 ")
+    app.text_input(key=f"edit_job_{trial_id}").set_value("Loading")
+    app.button(key="edit-save").click().run()
+    assert not app.exception
+    known = library.record(trial_id)
+    assert (known.names.label, known.names.site, known.names.job) == (
+        "Crate to rack",
+        "Hall 4",
+        "Loading",
+    )
+    assert "Crate to rack" in html(app)
+
+
+def test_an_edit_of_two_people_is_noticed(app, library, trial_id):
+    app.run()
+    app.button(key=f"edit-{trial_id}").click().run()
+    library.edit(trial_id, version=1, site="Hall 9")
+    app.text_input(key=f"edit_site_{trial_id}").set_value("Hall 4")
+    app.button(key="edit-save").click().run()
+    assert "changed" in app.error[0].value
+    assert library.record(trial_id).names.site == "Hall 9"
+
+
+def opened(app):
+    return {button.key for button in app.button if (button.key or "").startswith("open-")}
+
+
+def captions(app):
+    return [caption.value for caption in app.caption]
+
+
+def test_all_samples_are_assessed_on_one_click(app, monkeypatch):
+    monkeypatch.setattr("engine.jobs.local.JobQueue.advance", lambda _self: None)
+    app.run()
+    app.button(key="first-demo").click().run()
+    waiting = cache.job_queue().jobs()
+    assert len(waiting) == len(cache.samples())
+    request = cache.job_queue().request(waiting[0].id)
+    assert request.site == "Samples"
+    assert request.subject.stature_m == cache.samples()[0].values["stature_m"]
+    assert "No trials yet" not in html(app)
 
 
 def test_a_trial_is_deleted_only_after_a_second_word(app, library, trial_id):
