@@ -190,3 +190,59 @@ def test_a_damaged_file_is_said_in_one_sentence(app, library, trial_id, name):
     app.switch_page("views/trial.py").run()
     assert not app.exception
     assert "damaged" in app.error[0].value or "can't be read" in app.error[0].value
+
+
+def press(app, label):
+    next(button for button in app.button if button.label == label).click()
+    app.run()
+
+
+def fill(app, label, text):
+    next(f for f in [*app.text_input, *app.text_area] if f.label == label).input(text)
+
+
+def test_a_flag_is_answered(app, library, trial_id):
+    open_trial(app, trial_id)
+    fill(app, "Your name or initials", "AB")
+    press(app, "Save the answer")
+    assert not app.exception
+    (said,) = library.record(trial_id).reviews
+    assert (said.verdict, said.reviewer) == ("accepted", "AB")
+    assert "Lift 2 is far above" in said.flag, "the most urgent flag is chosen first"
+    assert any("Accepted by AB" in caption.value for caption in app.caption)
+
+
+def test_a_rejection_needs_a_reason(app, library, trial_id):
+    open_trial(app, trial_id)
+    next(g for g in app.button_group if "I reject it" in g.options).set_value("I reject it")
+    press(app, "Save the answer")
+    assert "needs a reason" in html(app)
+    assert not library.record(trial_id).reviews
+    fill(app, "Why (needed to reject)", "It was pushed.")
+    press(app, "Save the answer")
+    (said,) = library.record(trial_id).reviews
+    assert (said.verdict, said.reason) == ("rejected", "It was pushed.")
+
+
+def test_an_answer_to_what_somebody_else_changed_is_not_kept(app, library, trial_id):
+    open_trial(app, trial_id)
+    library.edit(trial_id, version=library.record(trial_id).version, tags=["seen"])
+    press(app, "Save the answer")
+    assert "Somebody else changed this trial" in html(app)
+    assert not library.record(trial_id).reviews
+    press(app, "Save the answer")
+    assert len(library.record(trial_id).reviews) == 1
+
+
+def test_notes_come_and_go(app, library, trial_id):
+    open_trial(app, trial_id)
+    fill(app, "Note on the whole video", "The floor was wet.")
+    press(app, "Add the note")
+    (note,) = library.record(trial_id).notes
+    assert (note.text, note.at_s) == ("The floor was wet.", None)
+    assert any(text.value == "The floor was wet." for text in app.text)
+    next(b for b in app.button if "delete-" in (b.key or "")).click()
+    app.run()
+    assert not library.record(trial_id).notes
+    press(app, "Add the note")
+    assert "A note needs some words." in html(app)
