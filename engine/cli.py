@@ -556,6 +556,38 @@ def _calibrate(request: CalibrateRequest, *, is_quiet: bool) -> None:
             typer.echo("\n".join(lines))
 
 
+@app.command(short_help="Compare the form of two performances.")
+@_one_sentence
+def compare(
+    reference: Annotated[Path, typer.Argument(help="Result folder of the reference performance.")],
+    attempt: Annotated[Path, typer.Argument(help="Result folder of the attempt.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the table, the figure and JSON; by default none."),
+    ] = None,
+    reference_repetition: Annotated[
+        int, typer.Option(help="Which repetition of the reference, from 1.")
+    ] = 1,
+    attempt_repetition: Annotated[
+        int | None, typer.Option(help="Which repetition of the attempt; by default all.")
+    ] = None,
+    quiet: Quiet = None,
+    debug: Debug = False,
+) -> None:
+    """Compare two performances of one movement, phase by phase, whatever their speed."""
+    from engine.cli_compare import CompareRequest, run_compare
+
+    request = CompareRequest(
+        reference=reference,
+        attempt=attempt,
+        out=out,
+        reference_repetition=reference_repetition,
+        attempt_repetition=attempt_repetition,
+        is_quiet=bool(quiet),
+    )
+    run_compare(request, say=typer.echo, warn=lambda line: typer.echo(line, err=True))
+
+
 @app.command(short_help="Write a trial or a job as a PDF.")
 @_one_sentence
 def report(

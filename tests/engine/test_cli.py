@@ -417,6 +417,9 @@ class TestProcess:
             (("export", ".", "--format", "csv"), 3, "no LiftLens result"),
             (("export", ".", "--format", "bvh"), 2, "not available yet"),
             (("report", ".", "--out", "r.pdf"), 3, "no LiftLens result"),
+            (("compare", ".", "."), 2, "holds no result"),
+            (("calibrate",), 2, "Expected one of --method"),
+            (("calibrate", "--check", "none.toml"), 3, "none.toml"),
             (("report", ".", "--out", "r.pdf", "--paper", "a5"), 2, "a5"),
         ],
     )
