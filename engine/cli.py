@@ -393,7 +393,7 @@ def _print_table(table: Table, *, empty: str) -> None:
 @_one_sentence
 def export(
     result_dir: Annotated[Path, typer.Argument(help="A result folder.")],
-    format_: Annotated[str, typer.Option("--format", help="trc, mot or csv (c3d, bvh: later).")],
+    format_: Annotated[str, typer.Option("--format", help="trc, mot, c3d, csv or bvh.")],
     out: Annotated[
         Path | None, typer.Option(help="File or folder; by default a file in this folder.")
     ] = None,

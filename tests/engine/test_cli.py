@@ -415,7 +415,7 @@ class TestProcess:
             (("assess", __file__, "--nonsense"), 2, "--nonsense"),
             (("assess",), 2, "VIDEO"),
             (("export", ".", "--format", "csv"), 3, "no LiftLens result"),
-            (("export", ".", "--format", "bvh"), 2, "not available yet"),
+            (("export", ".", "--format", "bvh"), 3, "no LiftLens result"),
             (("report", ".", "--out", "r.pdf"), 3, "no LiftLens result"),
             (("compare", ".", "."), 2, "holds no result"),
             (("calibrate",), 2, "Expected one of --method"),
