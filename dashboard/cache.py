@@ -18,8 +18,10 @@ import streamlit as st
 from dashboard.components.player.payload import Payload, build_payload
 from engine.cameras.files.own import format_calibration
 from engine.cameras.files.reading import read_calibration
+from engine.compare_form import read_performance
 from engine.datatypes import Calibration, JointAngles, ViewInfo
 from engine.errors import DataError, EngineError
+from engine.form import Comparison, Repetition, compare_every_repetition, find_repetitions
 from engine.jobs.local import JobQueue
 from engine.kinematics.fitting import geometric
 from engine.storage.atomic import write_aside
@@ -260,6 +262,53 @@ def video_facts(path: Path) -> ViewInfo:
         If it is no usable video.
     """
     return probe_video(path)
+
+
+# --------------------------------------------------------------------------- form
+
+
+def repetitions(trial_id: str) -> tuple[Repetition, ...]:
+    """Return the lifts of a trial, or the repetitions of its exercise.
+
+    Raises
+    ------
+    DataError
+        If there is no such trial, or its clip is too short.
+    """
+    return _find_repetitions(trial_id, _result_stamp(trial_id))
+
+
+def form_comparisons(
+    reference: str, attempt: str, reference_repetition: int
+) -> tuple[Comparison, ...]:
+    """Compare every repetition of an attempt with one of a reference.
+
+    Raises
+    ------
+    EngineError
+        If the movements can't be compared.
+    """
+    stamps = (_result_stamp(reference), _result_stamp(attempt))
+    return _compare_form(reference, attempt, reference_repetition, stamps)
+
+
+def _result_stamp(trial_id: str) -> int:
+    """Return what changes when a trial does."""
+    result(trial_id)  # says in one sentence what is wrong with it
+    return (library().folder(trial_id) / "trial.json").stat().st_mtime_ns
+
+
+@st.cache_resource(max_entries=64, show_spinner=False)
+def _find_repetitions(trial_id: str, stamp_ns: int) -> tuple[Repetition, ...]:
+    return find_repetitions(read_performance(result(trial_id)))
+
+
+@st.cache_resource(max_entries=256, show_spinner="Comparing …")
+def _compare_form(
+    reference: str, attempt: str, reference_repetition: int, stamps: tuple[int, int]
+) -> tuple[Comparison, ...]:
+    one, two = (read_performance(result(name)) for name in (reference, attempt))
+    return compare_every_repetition(one, two, reference_repetition=reference_repetition)
 
 
 # --------------------------------------------------------------------------- reference recordings

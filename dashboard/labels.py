@@ -135,6 +135,27 @@ PLAIN_ANGLES: dict[str, str] = {
     "lumbar_rotation": "Twist of the lower back",
 }
 
+PHASES: dict[str, str] = {
+    "reach": "Reach",
+    "lift_off": "Lift-off",
+    "rise": "Lift",
+    "set_down": "Set-down",
+    "return": "Return",
+    "descent": "Down",
+    "bottom": "Deepest",
+    "ascent": "Up",
+}
+PHASE_HELP: dict[str, str] = {
+    "reach": "From standing until the load starts to move",
+    "lift_off": "The moment the load starts to move",
+    "rise": "While the load moves",
+    "set_down": "The moment the load stops",
+    "return": "From letting go until standing still",
+    "descent": "From standing into the movement",
+    "bottom": "Where at least 90 % of the depth is kept",
+    "ascent": "Back to standing",
+}
+
 COVERAGE: dict[str, tuple[str, str]] = {
     "measured": ("seen", "Samples the estimator saw and the checks kept."),
     "repaired": ("repaired", "Samples whose left and right had been swapped."),
@@ -233,6 +254,10 @@ HELP: dict[str, str] = {
         "The angles straight from the joints as they were seen: not cleaned, not filled, not "
         "smoothed. Marks on the thick curve show samples that were filled in, and samples whose "
         "left and right were exchanged."
+    ),
+    "form_score": (
+        "100: every difference lies within the measurement error. Every 15° beyond it, root mean "
+        "square over angles and time, halve the score."
     ),
     "lifting_index": (
         "Load divided by the recommended weight limit (Revised NIOSH Lifting Equation). Up to "

@@ -20,6 +20,7 @@ _TRIAL = "trial"
 _JOB = "job"
 _REFERENCE_ROUND = "reference_round"
 _IMPROVE = "improve"
+_AGAINST = "against"
 _PLAYER_NUMBER = "player_number"
 _PLAYER_TIME = "player_time"
 _REVIEW_PROBLEM = "review_problem"
@@ -348,3 +349,22 @@ def take_notice() -> str | None:
     """Return what was done, once."""
     found: str | None = st.session_state.pop(_NOTICE, None)
     return found
+
+
+# --------------------------------------------------------------------------- form
+
+
+def compared() -> tuple[str | None, str | None]:
+    """Return the reference and the attempt the address names."""
+    return st.query_params.get(_AGAINST), st.query_params.get(_TRIAL)
+
+
+def set_compared(reference: str, attempt: str) -> None:
+    """Put reference and attempt into the address, so that a reload shows them again."""
+    if compared() != (reference, attempt):
+        st.query_params.update({_AGAINST: reference, _TRIAL: attempt})
+
+
+def train_key(name: str) -> str:
+    """Return the widget key of an input of the page that compares form."""
+    return f"train_{name}"

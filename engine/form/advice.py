@@ -48,7 +48,7 @@ WORDS: Mapping[str, _Words] = {
         "further forward",
         "less far forward",
         "keep it more upright and let hips and knees do more",
-        "let it lean forward as the reference does",
+        "lean further forward",
     ),
     "trunk_lateral_bend": _Words(
         "your trunk bends",
@@ -83,7 +83,7 @@ WORDS: Mapping[str, _Words] = {
         "further forward",
         "less far forward",
         "keep the arms closer to the body",
-        "reach further forward as the reference does",
+        "reach further forward",
     ),
     "elbow_flexion": _Words(
         "{side} bent",
@@ -170,7 +170,7 @@ def describe_difference(finding: _Finding) -> str:
     half = COVERAGE_FACTOR * mean.sigma
     return (
         f"{PHASE_WORDS[finding.difference.phase]} {subject} {abs(mean.value):.0f} deg "
-        f"(\N{PLUS-MINUS SIGN}{half:.0f}) {way} than in the reference: {action}."
+        f"(\N{PLUS-MINUS SIGN}{half:.0f}) {way} than in the reference: to match it, {action}."
     )
 
 

@@ -100,7 +100,9 @@ class Comparison:
     `reference_deg`, `attempt_deg` and their `sigma`: shape (101, A), at `percent` of the
     reference's movement; `difference_sigma_deg` the standard error of attempt minus reference.
     `reference_time_s` and `attempt_time_s` (101,) are the moments in both clips that belong
-    together. `phases` and `attempt_phases` are each clip's own.
+    together. `phases` and `attempt_phases` are each clip's own. `own_error_share` is the part of
+    each clip's errors that does not repeat in the other; `is_same_work` is false where two lifts
+    start or end at clearly different heights, or no lift was found in the attempt.
     """
 
     reference: str
@@ -124,6 +126,8 @@ class Comparison:
     notes: tuple[str, ...]
     reference_repetition: int = 0
     attempt_repetition: int = 0
+    own_error_share: float = 1.0
+    is_same_work: bool = True
 
     @property
     def difference_deg(self) -> Array:
@@ -241,6 +245,7 @@ def _compare(
             "the same lift or exercise."
         )
     sigma = _difference_sigma(first.sigma, moved.sigma, share)
+    heights = tuple(_describe_heights(reference, one, attempt, other))
     phases = other.phases if other else _map_phases(one.phases, first.time_s, moved.time_s)
     return Comparison(
         reference=reference.label,
@@ -261,9 +266,11 @@ def _compare(
         score=compute_score(moved.value - first.value, sigma),
         likeness=likeness,
         path=np.asarray(found.path, dtype=np.float64),
-        notes=(*notes, *_describe_conditions(reference, attempt, one, other)),
+        notes=(*notes, *_describe_conditions(reference, attempt), *heights),
         reference_repetition=one.number,
         attempt_repetition=0 if other is None else other.number,
+        own_error_share=share,
+        is_same_work=not heights and (other is not None or one.kind == "exercise"),
     )
 
 
@@ -457,9 +464,7 @@ def _timings(phases: Sequence[Phase], others: Sequence[Phase]) -> Iterator[Phase
             )
 
 
-def _describe_conditions(
-    reference: Performance, attempt: Performance, one: Repetition, other: Repetition | None
-) -> Iterator[str]:
+def _describe_conditions(reference: Performance, attempt: Performance) -> Iterator[str]:
     """Say what differs between the recordings rather than between the movements."""
     if reference.skeleton != attempt.skeleton or reference.solver != attempt.solver:
         yield (
@@ -481,13 +486,14 @@ def _describe_conditions(
         )
     if reference.person and attempt.person and reference.person != attempt.person:
         yield ("Two different persons are compared: body proportions make part of the differences.")
-    if one.kind == "lift" and other is not None:
-        yield from _describe_heights(reference, one, attempt, other)
 
 
 def _describe_heights(
-    reference: Performance, one: Repetition, attempt: Performance, other: Repetition
+    reference: Performance, one: Repetition, attempt: Performance, other: Repetition | None
 ) -> Iterator[str]:
+    """Say where two lifts start or end at different heights."""
+    if one.kind != "lift" or other is None:
+        return
     pairs = (("starts", "origin"), ("ends", "destination"))
     lifts = [sorted(p.lifts, key=lambda x: x.start_s) for p in (reference, attempt)]
     first, second = lifts[0][one.number], lifts[1][other.number]

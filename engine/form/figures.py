@@ -30,8 +30,8 @@ def order_angles(comparison: Comparison) -> tuple[str, ...]:
 def plot_comparison(comparison: Comparison) -> bytes:
     """Draw the angles that differ most over 0 to 100 % of the movement; return a PNG.
 
-    Bands are 95 % of each recording's own error; shades mark where the difference goes beyond
-    what repeats; dotted lines part the phases.
+    Bands are about 95 % of that part of each clip's error which does not repeat in the other;
+    shades mark where the difference goes beyond the error, dotted lines part the phases.
     """
     names = order_angles(comparison)[:MOST_ANGLES]
     n_rows = math.ceil(len(names) / 2)
@@ -61,7 +61,7 @@ def _plot_angle(ax: Axes, comparison: Comparison, name: str) -> None:
         ("Attempt", comparison.attempt_deg, comparison.attempt_sigma_deg, "--"),
     )
     for (title, value, sigma, dash), color in zip(rows, COLORS, strict=True):
-        half = COVERAGE_FACTOR * sigma[:, i]
+        half = COVERAGE_FACTOR * comparison.own_error_share * sigma[:, i]
         ax.fill_between(
             percent, value[:, i] - half, value[:, i] + half, color=color, alpha=0.1, linewidth=0
         )
