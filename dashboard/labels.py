@@ -277,13 +277,38 @@ def format_number(value: float | None, digits: int = 0) -> str:
     return text.replace("-", "−") if float(text) else f"{0:.{digits}f}"
 
 
+US_UNITS: dict[str, tuple[float, str]] = {
+    "kg": (2.204_622_6, "lb"),
+    "cm": (1 / 2.54, "in"),
+    "m": (39.370_079, "in"),
+}
+"""What one metric unit is in US customary ones."""
+_shown = {"units": "metric"}
+
+
+def use_units(units: str) -> None:
+    """Choose what stands beside metric values: nothing (`metric`) or US customary ones (`us`).
+
+    One server has one library and so one choice for all who use it.
+    """
+    _shown["units"] = units
+
+
+def add_us_units(value: float | None, unit: str) -> str:
+    """Return a value in US customary units in brackets, where they are wanted and there are any."""
+    if _shown["units"] != "us" or unit not in US_UNITS or value is None or not math.isfinite(value):
+        return ""
+    factor, name = US_UNITS[unit]
+    return f" ({format_number(factor * value, 0 if abs(factor * value) >= 10 else 1)} {name})"
+
+
 def format_measurement(measured: Measurement, unit: str, digits: int = 0) -> str:
     """Return value ± standard error with the unit."""
     if measured.is_missing:
         return MISSING
     error = "" if math.isnan(measured.sigma) else f" ± {format_number(measured.sigma, digits)}"
-    gap = "" if unit == "°" else " "
-    return f"{format_number(measured.value, digits)}{error}{gap}{unit}"
+    gap, beside = "" if unit == "°" else " ", add_us_units(measured.value, unit)
+    return f"{format_number(measured.value, digits)}{error}{gap}{unit}{beside}"
 
 
 def format_bytes(size: int) -> str:
@@ -317,8 +342,9 @@ def format_value(value: Any, unit: str = "") -> str:
         return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    text = f"{value:.4g}" if isinstance(value, int | float) else str(value)
-    return f"{text} {unit}".strip()
+    is_number = isinstance(value, int | float)
+    text = f"{value:.4g}" if is_number else str(value)
+    return f"{text} {unit}".strip() + (add_us_units(value, unit) if is_number else "")
 
 
 def format_input(item: RiskInput) -> str:
@@ -391,12 +417,17 @@ def name_method(method: str) -> str:
     return METHODS.get(method, method.replace("_", " "))
 
 
+def format_value_cm(value: float | None) -> str:
+    """Return a length in whole centimetres."""
+    return f"{format_number(value)} cm{add_us_units(value, 'cm')}"
+
+
 def format_factor_input(name: str, values: Mapping[str, Any], details: Mapping[str, Any]) -> str:
     """Return what a multiplier of the lifting equation follows from."""
     return {
-        "HM": lambda: f"{format_number(values['H_cm'])} cm",
-        "VM": lambda: f"{format_number(values['V_cm'])} cm",
-        "DM": lambda: f"{format_number(details['D_cm'])} cm",
+        "HM": lambda: format_value_cm(values["H_cm"]),
+        "VM": lambda: format_value_cm(values["V_cm"]),
+        "DM": lambda: format_value_cm(details["D_cm"]),
         "AM": lambda: f"{format_number(values['A_deg'])}°",
         "FM": lambda: f"{details['frequency_per_min']:g}/min, {details['duration_class']}",
         "CM": lambda: str(details["coupling"]),
