@@ -34,6 +34,7 @@ from engine.ergonomics.base import Exposure, select_methods
 from engine.ergonomics.methods.rnle import LEVELS, classify
 from engine.ergonomics.posture_scores import decode_runs
 from engine.ergonomics.upper_body import compute_back_load, measure_upper_body
+from engine.errors import EngineError
 from engine.kinematics.fitting.base import select_solver
 from engine.pipeline import assess_poses
 from engine.skeletons import MEDIAPIPE_33
@@ -126,13 +127,19 @@ def assess_views(folder: Path, views: str, poses: Path, subject: Subject) -> Tri
 def measure(folder: Path, views: str, poses: Path) -> dict[str, float | str]:
     """Assess one trial and compare every method with the same method on the truth."""
     truth, subject = read_truth(folder), read_subject(folder.parent)
-    result = assess_views(folder, views, poses, subject)
-    true = true_exposure(folder, truth, subject)
-    expected = assess_risk(true)
-    row: dict[str, float | str] = {
+    group = {
         "trial": folder.name,
         "camera": views,
         "persons": "test" if folder.name[:3] in TEST_PERSONS else "training",
+    }
+    try:
+        result = assess_views(folder, views, poses, subject)
+    except EngineError as error:
+        return {**group, "lifts": 0, "refused": str(error)}
+    true = true_exposure(folder, truth, subject)
+    expected = assess_risk(true)
+    row: dict[str, float | str] = {
+        **group,
         "lifts": len(result.lifts),
         **{f"cpu_s {k}": v for k, v in time_methods(result).items()},
     }
@@ -309,7 +316,8 @@ def describe(part: pd.DataFrame, seed: int) -> dict[str, str]:
     part = part.assign(LI=(part["LI mine"] - part["LI true"]).where(finite))
     part["LI origin"] = origin.where(np.isfinite(origin))
     out = {
-        "videos": str(len(part)),
+        "trials": str(len(part)),
+        "refused": str(int(part["refused"].notna().sum()) if "refused" in part else 0),
         "lift found and judged": str(int(part["LI mine"].notna().sum())),
         "lift-off, MAE (bias), s": mae("start_s"),
         "set-down, MAE (bias), s": mae("end_s"),
