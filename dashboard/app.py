@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from dashboard import pages
+from dashboard import labels, manage_cache, pages
 from dashboard.widgets import ASSETS, show_brand
 from engine.errors import EngineError
 
@@ -12,6 +12,7 @@ st.set_page_config(
 page = st.navigation(pages.build(), position="top")
 show_brand()
 try:
+    labels.use_units(manage_cache.units())
     page.run()
 except EngineError as error:
     st.error(str(error), icon=":material/error:", title="This can't be shown")

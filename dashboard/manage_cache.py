@@ -17,6 +17,7 @@ import streamlit as st
 import engine.pose
 from dashboard import cache
 from engine.cli_demo import read_samples
+from engine.errors import ConfigError
 from engine.jobs.local import JobRequest
 from engine.preferences import Preferences, read_preferences, write_preferences
 from engine.report import ReportOptions, render_job_report, render_trial_report
@@ -111,6 +112,14 @@ def preferences() -> Preferences:
         If the file of preferences is damaged.
     """
     return read_preferences(cache.library().root)
+
+
+def units() -> str:
+    """Return the units to show; metric as long as the preferences can't be read."""
+    try:
+        return preferences().units
+    except ConfigError:  # the page of settings says so
+        return Preferences.units
 
 
 def save_preferences(chosen: Preferences) -> None:

@@ -13,7 +13,8 @@ from engine.storage.overview import LiftCounts, MonthOverview
 
 __all__ = ["plot_shares", "plot_trend"]
 
-ROW_PX, FRAME_PX, TREND_PX = 44, 104, 330
+ROW_PX, FRAME_PX, TREND_PX = 44, 104, 350
+MOST_TICKS = 14
 LEAST_LABELLED = 0.07
 """A part of a bar this small has no room for its number."""
 FILLS: tuple[tuple[FlagLevel | None, str, str, str], ...] = (
@@ -59,7 +60,7 @@ def plot_trend(months: Sequence[MonthOverview], *, dark: bool = False) -> go.Fig
     """Plot the share of lifts at each level, one bar a month; months without any stay empty."""
     filled = list(_fill_months(months))
     counts = [lifts for _, lifts in filled]
-    names = [f"{day:%b %Y}<br>{lifts.n_lifts or '–'}" for day, lifts in filled]
+    names = [f"{day:%b %Y}" for day, _ in filled]
     figure = go.Figure()
     for word, color, pattern, numbers in _parts(counts, dark=dark):
         shares = _shares(numbers, counts)
@@ -74,8 +75,21 @@ def plot_trend(months: Sequence[MonthOverview], *, dark: bool = False) -> go.Fig
         )
     _lay_out(figure, height=TREND_PX, dark=dark)
     figure.update_yaxes(range=[0, 1], tickformat=".0%", title="Share of the lifts")
-    figure.update_xaxes(type="category", title="Month, with its number of lifts", tickangle=0)
+    step = -(-len(filled) // MOST_TICKS)
+    figure.update_xaxes(
+        type="category",
+        tickvals=names[::step],
+        ticktext=[_month(day, lifts, i) for i, (day, lifts) in enumerate(filled)][::step],
+        tickangle=0,
+        title="Month, with its number of lifts",
+    )
     return figure
+
+
+def _month(day: date, lifts: LiftCounts, number: int) -> str:
+    """Return a month with its number of lifts; the first one and each January with the year."""
+    year = f"<br>{day:%Y}" if not number or day.month == 1 else ""
+    return f"{day:%b}<br>{lifts.n_lifts or '–'}{year}"
 
 
 def _parts(
@@ -146,7 +160,7 @@ def _lay_out(figure: go.Figure, *, height: int, dark: bool) -> None:
         barmode="stack",
         height=height,
         bargap=0.32,
-        margin={"l": 8, "r": 12, "t": 34, "b": 44},
+        margin={"l": 8, "r": 12, "t": 34, "b": 48},
         legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "traceorder": "normal"},
         paper_bgcolor="rgba(0,0,0,0)",
         plot_bgcolor="rgba(0,0,0,0)",

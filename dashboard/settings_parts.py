@@ -126,7 +126,7 @@ def ask_methods(chosen: Preferences) -> None:
             for method in list_methods()
         )
         head = (("Method", ""), ("Runs", ""), ("Source", ""))
-        st.html(table_html(head, rows, css="ll-plain"))
+        st.html(table_html(head, rows, css="ll-wraps"))
     st.caption("Trials that were assessed already stay as they are.")
 
 
@@ -365,7 +365,7 @@ def show_models() -> None:
         )
         for info in list_backends()
     )
-    st.html(table_html(head, rows, css="ll-plain"))
+    st.html(table_html(head, rows, css="ll-wraps"))
     files = manage_cache.model_files()
     with st.expander(f"Model cards ({count(len(files), 'bundled file')})"):
         st.html(

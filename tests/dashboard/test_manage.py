@@ -133,11 +133,12 @@ def test_months_without_trials_stay_empty():
         MonthOverview(2026, 2, counts(0, 0, 1)),
     ]
     figure = plot_trend(months)
-    assert list(figure.data[0].x) == [
-        "Nov 2025<br>2",
-        "Dec 2025<br>–",
-        "Jan 2026<br>–",
-        "Feb 2026<br>1",
+    assert list(figure.data[0].x) == ["Nov 2025", "Dec 2025", "Jan 2026", "Feb 2026"]
+    assert list(figure.layout.xaxis.ticktext) == [
+        "Nov<br>2<br>2025",
+        "Dec<br>–",
+        "Jan<br>–<br>2026",
+        "Feb<br>1",
     ]
     assert list(figure.data[0].y) == [0.5, 0, 0, 0]
 

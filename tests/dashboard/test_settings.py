@@ -2,8 +2,9 @@ import io
 
 import pytest
 
-from dashboard import manage_cache
-from dashboard.labels import format_bytes
+from dashboard import labels, manage_cache
+from dashboard.labels import format_bytes, format_measurement, format_value
+from engine.datatypes import Measurement
 from engine.errors import DataError
 from engine.jobs.local import JobRequest
 from engine.preferences import PREFERENCES_NAME, Preferences
@@ -119,3 +120,44 @@ def test_models_are_listed_with_their_card():
 )
 def test_sizes_are_said_in_plain_units(size, text):
     assert format_bytes(size) == text
+
+
+@pytest.fixture
+def us_units():
+    labels.use_units("us")
+    yield
+    labels.use_units("metric")
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (23.0, "kg", "23 ± 1 kg (51 lb)"),
+        (51.0, "cm", "51 ± 1 cm (20 in)"),
+        (5.0, "cm", "5 ± 1 cm (2.0 in)"),
+        (60.0, "°", "60 ± 1°"),
+    ],
+)
+def test_us_units_stand_beside_metric_ones(us_units, value, unit, text):
+    assert format_measurement(Measurement(value, 1.0), unit) == text
+
+
+def test_values_without_a_number_get_no_other_unit(us_units):
+    assert format_measurement(Measurement(float("nan")), "kg") == "not seen"
+    assert format_value("fair", "kg") == "fair kg"
+    assert format_value(10.0, "kg") == "10 kg (22 lb)"
+
+
+def test_metric_is_the_default():
+    assert format_value(10.0, "kg") == "10 kg"
+
+
+def test_the_choice_of_units_reaches_the_pages(page, library, trial_id):
+    page.run()
+    page.selectbox(key=key("units")).set_value("us").run()
+    page.query_params["trial"] = trial_id
+    page.switch_page("views/trial.py").run()
+    assert " lb)" in html(page)
+    manage_cache.save_preferences(Preferences())
+    page.run()
+    assert " lb)" not in html(page)
