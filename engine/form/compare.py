@@ -42,8 +42,8 @@ OWN_ERROR_SAME_PERSON, OWN_ERROR_OTHER_PERSON = 0.2, 0.3
 """Share of a clip's stated error that does not repeat in another clip measured the same way.
 
 An angle's error comes mostly from the joints' definition, hidden limbs and the camera's place,
-which repeat. On the synthetic training persons the errors of differences were at most 0.18 (one
-person) and 0.22 (two persons) of the stated ones (`benchmarks/form.py`); rounded up, because people
+which repeat. On the synthetic training persons the errors of differences were at most 0.17 (one
+person) and 0.24 (two persons) of the stated ones (`benchmarks/form.py`); rounded up, because people
 are less regular. Clips measured in different ways share nothing.
 """
 LEAST_SIGMA_DEG = 1.5

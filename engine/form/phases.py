@@ -44,6 +44,8 @@ LONGEST_S = 4.0
 DEFINITION_SIGMA_S = 0.06
 """Lift-off and set-down as the hands tell them, against the load's true start and stop: so far
 apart on the synthetic training persons (`benchmarks/form.py`), root mean square."""
+REST_SIGMA_S = 0.06
+"""Likewise for where the body leaves and finds its rest: a threshold is passed late or early."""
 LEAST_SPEED_DEG_S = 8.0
 """Slower than this, root mean square over the angles, is standing still."""
 
@@ -177,7 +179,8 @@ def _find_rest(
         # Still moving at the end of what may be looked at: the bound is only known to lie beyond.
         return _Bound(float(time_s[order[-1]]), MAX_BOUND_SIGMA_S)
     frame = int(order[at])
-    return _Bound(float(time_s[frame]), crossing_sigma(time_s, speed, frame, level))
+    sigma_s = math.hypot(REST_SIGMA_S, crossing_sigma(time_s, speed, frame, level))
+    return _Bound(float(time_s[frame]), min(sigma_s, MAX_BOUND_SIGMA_S))
 
 
 def _first_rest(is_still: NDArray[np.bool_], course: Array, *, hold: int) -> int | None:
