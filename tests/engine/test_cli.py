@@ -658,11 +658,10 @@ class TestExport:
         assert (result.exit_code, result.stdout) == (0, f"Written: {tmp_path / 'a.csv'}\n")
         assert (tmp_path / "a.csv").read_text() == (folder / "angles.csv").read_text()
 
-    @pytest.mark.parametrize("name", ["c3d", "bvh", "xlsx"])
-    def test_other_formats_are_refused(self, tmp_path: Path, name: str) -> None:
-        result = run("export", tmp_path, "--format", name)
+    def test_other_formats_are_refused(self, tmp_path: Path) -> None:
+        result = run("export", tmp_path, "--format", "xlsx")
         assert result.exit_code == 2
-        assert "available: trc, mot, csv" in last_line(result)
+        assert "available: trc, mot, csv, c3d, bvh" in last_line(result)
 
 
 SAMPLES = """
