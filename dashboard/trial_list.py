@@ -30,7 +30,7 @@ from engine.storage.entries import Order
 from engine.storage.library import Library, TrialEntry, TrialPage
 
 POLL_S = 2.0
-PAGE_SIZE = 20
+PAGE_SIZE = 15
 NOT_JUDGED_KEY = "none"
 LEVEL_WORDS = {level.value: LEVELS[level].word for level in LEVELS} | {
     NOT_JUDGED_KEY: NOT_JUDGED.word
@@ -145,7 +145,7 @@ def _choose_more() -> tuple[str | None, str | None, str | None, tuple[str, ...],
         bind="query-params",
         on_change=state.turn_to_first_page,
     )
-    return site, job, person, tuple(tags), PERIODS[period or "Any time"], order or "newest"
+    return site, job, person, tuple(tags), PERIODS[period], order
 
 
 def _pick(title: str, options: Sequence[str], nothing: str, key: str) -> str | None:
