@@ -31,7 +31,7 @@ def plot_comparison(comparison: Comparison) -> bytes:
     """Draw the angles that differ most over 0 to 100 % of the movement; return a PNG.
 
     Bands are about 95 % of that part of each clip's error which does not repeat in the other;
-    shades mark where the difference goes beyond the error, dotted lines part the phases.
+    hatching marks where the difference goes beyond the error, dotted lines part the phases.
     """
     names = order_angles(comparison)[:MOST_ANGLES]
     n_rows = math.ceil(len(names) / 2)
@@ -41,6 +41,9 @@ def plot_comparison(comparison: Comparison) -> bytes:
         _plot_angle(ax, comparison, name)
     for ax in axes[len(names) :]:
         ax.set_axis_off()
+    for ax in axes[max(len(names) - 2, 0) : len(names)]:
+        ax.tick_params(labelbottom=True)
+        ax.set_xlabel("Share of the movement (%)")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     low, high = comparison.score.interval
@@ -73,8 +76,9 @@ def _plot_angle(ax: Axes, comparison: Comparison, name: str) -> None:
         comparison.reference_deg[:, i],
         comparison.attempt_deg[:, i],
         where=is_beyond.tolist(),
-        color="0.3",
-        alpha=0.25,
+        facecolor="none",
+        edgecolor="0.45",
+        hatch="////",
         linewidth=0,
         label="Beyond the error",
     )

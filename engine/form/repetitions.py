@@ -162,13 +162,17 @@ def _neighbours(peaks: Array, length: int) -> list[tuple[int, int, int]]:
 
 
 def _find_period(signal: Array, step_s: float) -> float | None:
-    """Return the period of a repeated movement by its autocorrelation; None if not periodic."""
+    """Return the period of a repeated movement by its autocorrelation; None if not periodic.
+
+    Fewer than three turns make no period: two alike movements far apart say nothing about those
+    between them.
+    """
     spectrum = np.fft.rfft(signal, 2 * len(signal))
     correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: len(signal)]
     # Unbiased: fewer samples overlap at longer lags.
     correlation /= np.arange(len(signal), 0, -1)
     correlation /= correlation[0] or 1.0
-    last = min(round(MAX_PERIOD_S / step_s), int(0.7 * len(signal)))
+    last = min(round(MAX_PERIOD_S / step_s), len(signal) // 3)
     peaks, _ = find_peaks(correlation[:last], height=PERIODIC)
     peaks = peaks[peaks * step_s >= MIN_PERIOD_S]
     return float(peaks[0] * step_s) if peaks.size else None

@@ -7,6 +7,7 @@ from engine.form.phases import EXERCISE_PHASES, LIFT_PHASES, segment_lift
 from engine.form.repetitions import find_repetitions, principal_movement
 from tests.engine.form.performances import (
     DEPTH_DEG,
+    course,
     make_known_lift,
     make_lift_clip,
     make_performance_of,
@@ -21,6 +22,13 @@ def test_every_squat_is_counted(n, noise):
     assert len(found) == n
     assert all(r.kind == "exercise" for r in found)
     assert [r.number for r in found] == list(range(n))
+
+
+def test_two_alike_movements_far_apart_do_not_hide_those_between():
+    time_s = np.arange(0, 21, 1 / 30)
+    turns = ((0.5, 2.5, 1.0), (3.0, 4.2, 0.7), (4.2, 5.4, 0.75), (18.0, 20.0, 1.0))
+    bend = sum(depth * course(time_s, start, end) for start, end, depth in turns)
+    assert len(find_repetitions(make_performance_of(time_s, bend))) == 4
 
 
 def test_standing_is_no_repetition():
