@@ -535,6 +535,8 @@ PLAYER: dict[str, Any] = {
     "left": "left",
     "right": "right",
     "doubtful": "uncertain or filled in",
+    "solid": "Solid",
+    "solid_help": "A solid figure; without a graphics card the cursor then moves slowly",
     "no_3d": "This browser shows no 3D graphics (WebGL); the skeleton is drawn flat.",
     "controls": "Playing",
     "play": "Play (space)",

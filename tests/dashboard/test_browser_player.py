@@ -263,6 +263,20 @@ def test_without_3d_graphics_the_skeleton_is_drawn_flat(chromium, chromium_path,
         running.close()
 
 
+def test_the_solid_figure_can_be_asked_for(open_player):
+    _, frame = open_player()
+    if frame.evaluate("document.documentElement.dataset.painter") == "FlatPainter":
+        assert ink(frame) > 400, "without a graphics card it starts flat, and fast"
+        frame.get_by_role("button", name="Solid").click()
+    frame.wait_for_function("document.documentElement.dataset.painter === 'SolidPainter'")
+    frame.click("button.lift >> nth=0")
+    frame.wait_for_function(
+        "window.liftlensPlayer.painter.joints.count + "
+        "window.liftlensPlayer.painter.fadedJoints.count > 15"
+    )
+    assert frame.evaluate("window.liftlensPlayer.painter.renderer.info.render.triangles") > 1000
+
+
 def ink(frame):
     """Count the blue pixels of the left side in the flat picture."""
     return frame.evaluate(

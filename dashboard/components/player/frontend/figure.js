@@ -3,6 +3,7 @@
 export const SEEN = 1;
 export const TRAIL_S = 1.5;
 export const DASHES = 4;
+export const HEAD_M = 0.095;
 
 export function palette() {
   const dark = document.documentElement.dataset.mode === "dark";

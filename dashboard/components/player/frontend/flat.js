@@ -1,6 +1,15 @@
-// The same skeleton on a plain canvas, for browsers without WebGL.
+// The same skeleton on a plain canvas, for computers without a graphics card.
 
-import { boneState, cameraLines, floorLines, palette, pointAt, trailStart } from "./figure.js";
+import {
+  HEAD_M,
+  SEEN,
+  boneState,
+  cameraLines,
+  floorLines,
+  palette,
+  pointAt,
+  trailStart,
+} from "./figure.js";
 
 const NEAR_M = 0.05;
 
@@ -40,6 +49,29 @@ export class FlatPainter {
       this.#line([pointAt(data, frame, bone[0]), pointAt(data, frame, bone[1])], colours[bone[2]], 4);
       pen.setLineDash([]);
     }
+    data.meta.points.forEach((name, k) => this.#joint(name, frame, k));
+  }
+
+  #joint(name, frame, point) {
+    const place = pointAt(this.data, frame, point);
+    const at = place && this.#project(place);
+    if (!at) return;
+    const head = name === "mid_ear";
+    const side = /^(left|right)_/.exec(name)?.[1] ?? "middle";
+    const seen = this.data.states[frame * this.data.nPoints + point] === SEEN;
+    const { context: pen } = this;
+    pen.globalAlpha = seen ? 1 : 0.6;
+    pen.fillStyle = this.colours[side];
+    pen.beginPath();
+    pen.arc(...at, head ? this.#size(place, HEAD_M) : 3.4, 0, 7);
+    pen.fill();
+    pen.globalAlpha = 1;
+  }
+
+  /** How large a length appears at a place, in px. */
+  #size(place, length) {
+    const { eye, ahead, scale } = this.view;
+    return (scale * length) / dot(place.map((value, axis) => value - eye[axis]), ahead);
   }
 
   #trail(hand, frame) {

@@ -129,20 +129,47 @@ class Player {
     this.stage.append(this.bodyView);
   }
 
+  /** Solid figures need a graphics card; computed by the processor they would halt the cursor. */
   async #startPainter() {
+    const ability = findGraphics();
+    if (ability === "none") this.bodyView.append(make("p", { class: "sentence" }, this.words.no_3d));
+    if (ability === "slow") {
+      const solid = button(this.words.solid, () => this.#switchPainter(solid), "small");
+      solid.setAttribute("aria-pressed", "false");
+      solid.title = this.words.solid_help;
+      this.bodyView.querySelector(".tools").append(solid);
+    }
+    await this.#usePainter(ability === "fast" ? "solid" : "flat");
+  }
+
+  async #switchPainter(solid) {
+    const wanted = solid.getAttribute("aria-pressed") === "true" ? "flat" : "solid";
+    await this.#usePainter(wanted);
+    const isSolid = document.documentElement.dataset.painter === "SolidPainter";
+    solid.setAttribute("aria-pressed", String(isSolid));
+  }
+
+  async #usePainter(wanted) {
+    if (this.painter) this.#renewCanvas();
     try {
+      if (wanted === "flat") throw new Error("not wanted");
       const { SolidPainter } = await import("./solid.js");
       this.painter = new SolidPainter(this.canvas, this.data);
     } catch {
-      const fresh = this.canvas.cloneNode();
-      this.canvas.replaceWith(fresh);
-      this.canvas = fresh;
-      this.#listenToBody();
-      this.painter = new FlatPainter(fresh, this.data);
-      this.bodyView.append(make("p", { class: "sentence" }, this.words.no_3d));
+      this.#renewCanvas(); // a canvas keeps the kind of picture it was first asked for
+      this.painter = new FlatPainter(this.canvas, this.data);
     }
     document.documentElement.dataset.painter = this.painter.constructor.name;
     this.layout();
+  }
+
+  #renewCanvas() {
+    this.painter?.dispose();
+    this.painter = null;
+    const fresh = this.canvas.cloneNode();
+    this.canvas.replaceWith(fresh);
+    this.canvas = fresh;
+    this.#listenToBody();
   }
 
   #buildControls(actions) {
@@ -458,6 +485,17 @@ function button(label, onclick, css, name = null) {
   const attributes = { type: "button", class: css, onclick };
   if (name) Object.assign(attributes, { "aria-label": name, title: name });
   return make("button", attributes, label);
+}
+
+/** What the browser can do: solid figures at full speed, slowly (without a graphics card), or none. */
+function findGraphics() {
+  const context = document.createElement("canvas").getContext("webgl2");
+  if (!context) return "none";
+  // Browsers don't say it by themselves: failIfMajorPerformanceCaveat lets software pass.
+  const info = context.getExtension("WEBGL_debug_renderer_info");
+  const name = String(context.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : context.RENDERER));
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name) ? "slow" : "fast";
 }
 
 /** Start with the trunk and the knees: what a lift is judged by first. */

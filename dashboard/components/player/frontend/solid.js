@@ -1,13 +1,21 @@
 // The skeleton in three dimensions, by three.js.
 
 import * as THREE from "./three.module.min.js";
-import { DASHES, boneState, cameraLines, floorLines, palette, pointAt, trailStart } from "./figure.js";
+import {
+  DASHES,
+  HEAD_M,
+  SEEN,
+  boneState,
+  cameraLines,
+  floorLines,
+  palette,
+  pointAt,
+  trailStart,
+} from "./figure.js";
 
 const BONE_M = 0.02;
 const JOINT_M = 0.03;
-const HEAD_M = 0.095;
 const UP = new THREE.Vector3(0, 1, 0);
-const NOWHERE = new THREE.Matrix4().makeScale(0, 0, 0);
 
 export class SolidPainter {
   constructor(canvas, data) {
@@ -32,8 +40,8 @@ export class SolidPainter {
     this.scene.add(this.floor);
     for (const camera of this.data.meta.cameras)
       this.scene.add(lines(cameraLines(camera), colours.camera));
-    const rod = new THREE.CylinderGeometry(1, 1, 1, 10);
-    const ball = new THREE.SphereGeometry(1, 14, 10);
+    const rod = new THREE.CylinderGeometry(1, 1, 1, 8, 1, true);
+    const ball = new THREE.SphereGeometry(1, 12, 8);
     const full = () => new THREE.MeshLambertMaterial();
     const faded = () =>
       new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.62, depthWrite: false });
@@ -51,15 +59,10 @@ export class SolidPainter {
     const sides = Object.fromEntries(
       Object.entries(colours).map(([side, colour]) => [side, new THREE.Color(colour)]),
     );
-    this.bones.forEach(([, , side], k) => {
-      this.solid.setColorAt(k, sides[side]);
-      for (let d = 0; d < DASHES; d += 1) this.dashed.setColorAt(k * DASHES + d, sides[side]);
-    });
-    this.data.meta.points.forEach((name, k) => {
-      const side = /^(left|right)_/.exec(name)?.[1] ?? "middle";
-      this.joints.setColorAt(k, sides[side]);
-      this.fadedJoints.setColorAt(k, sides[side]);
-    });
+    this.boneColours = this.bones.map(([, , side]) => sides[side]);
+    this.jointColours = this.data.meta.points.map(
+      (name) => sides[/^(left|right)_/.exec(name)?.[1] ?? "middle"],
+    );
   }
 
   /** A hand's whole path as pieces, of which a window is drawn; gaps have pieces of no length. */
@@ -113,35 +116,32 @@ export class SolidPainter {
   }
 
   #placeBones(frame) {
+    begin(this.solid, this.dashed);
     this.bones.forEach((bone, k) => {
       const state = boneState(this.data, frame, bone);
-      const ends = state === "missing" ? null : bone.slice(0, 2).map((p) => this.#vector(frame, p));
-      this.solid.setMatrixAt(k, state === "seen" ? rodBetween(...ends) : NOWHERE);
-      for (let d = 0; d < DASHES; d += 1) {
-        const piece = [(d + 0.2) / DASHES, (d + 0.8) / DASHES];
-        const matrix =
-          state === "doubtful"
-            ? rodBetween(...piece.map((share) => ends[0].clone().lerp(ends[1], share)))
-            : NOWHERE;
-        this.dashed.setMatrixAt(k * DASHES + d, matrix);
+      if (state === "missing") return;
+      const [a, b] = bone.slice(0, 2).map((point) => this.#vector(frame, point));
+      if (state === "seen") add(this.solid, rodBetween(a, b), this.boneColours[k]);
+      for (let d = 0; state === "doubtful" && d < DASHES; d += 1) {
+        const [from, to] = [(d + 0.2) / DASHES, (d + 0.8) / DASHES];
+        const piece = rodBetween(a.clone().lerp(b, from), a.clone().lerp(b, to));
+        add(this.dashed, piece, this.boneColours[k]);
       }
     });
-    this.solid.instanceMatrix.needsUpdate = true;
-    this.dashed.instanceMatrix.needsUpdate = true;
+    finish(this.solid, this.dashed);
   }
 
   #placeJoints(frame) {
+    begin(this.joints, this.fadedJoints);
     this.data.meta.points.forEach((name, k) => {
       const state = this.data.states[frame * this.data.nPoints + k];
+      if (!state) return;
       const radius = name === "mid_ear" ? HEAD_M : JOINT_M;
-      const matrix = state
-        ? new THREE.Matrix4().makeScale(radius, radius, radius).setPosition(this.#vector(frame, k))
-        : NOWHERE;
-      this.joints.setMatrixAt(k, state === 1 ? matrix : NOWHERE);
-      this.fadedJoints.setMatrixAt(k, state > 1 ? matrix : NOWHERE);
+      const matrix = new THREE.Matrix4().makeScale(radius, radius, radius);
+      matrix.setPosition(this.#vector(frame, k));
+      add(state === SEEN ? this.joints : this.fadedJoints, matrix, this.jointColours[k]);
     });
-    this.joints.instanceMatrix.needsUpdate = true;
-    this.fadedJoints.instanceMatrix.needsUpdate = true;
+    finish(this.joints, this.fadedJoints);
   }
 
   #vector(frame, point) {
@@ -162,7 +162,26 @@ function heightAngle(fieldDeg, aspect) {
 function instances(geometry, material, count) {
   const mesh = new THREE.InstancedMesh(geometry, material, count);
   mesh.frustumCulled = false;
+  for (let k = 0; k < count; k += 1) mesh.setColorAt(k, new THREE.Color()); // makes the buffer
   return mesh;
+}
+
+// Only what is there is drawn: meshes are filled anew for every sample.
+function begin(...meshes) {
+  for (const mesh of meshes) mesh.count = 0;
+}
+
+function add(mesh, matrix, colour) {
+  mesh.setMatrixAt(mesh.count, matrix);
+  mesh.setColorAt(mesh.count, colour);
+  mesh.count += 1;
+}
+
+function finish(...meshes) {
+  for (const mesh of meshes) {
+    mesh.instanceMatrix.needsUpdate = true;
+    if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+  }
 }
 
 function rodBetween(a, b) {

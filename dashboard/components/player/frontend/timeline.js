@@ -60,7 +60,7 @@ export function flagRows(data, flags, words, choose) {
     const from = share(data, item.flag.start);
     const end = share(data, item.flag.end ?? item.flag.start);
     // A flag needs room for its words: to its right or, late in the video, to its left.
-    const late = from > 0.55;
+    const late = from > 0.68;
     const low = late ? Math.min(from, end - WORDS_SHARE) : from;
     const until = late ? Math.max(end, from) : Math.max(end, from + WORDS_SHARE);
     let lane = lanes.find((one) => one.until <= low + 1e-6);
