@@ -34,7 +34,9 @@ from engine.storage.library import HOME_VARIABLE, Library
 ROOT = Path(__file__).parents[1]
 OPTIONS = ["--no-sandbox", "--disable-gpu"]
 WAIT_MS = 60_000
+EMPTY = "import streamlit as st\nst.title('Nothing')\n"
 AIMS = {
+    "first paint of an empty app": "(peer)",
     "first paint of the list": "1500 ms",
     "open a trial": "400 ms",
     "filter by level": "200 ms",
@@ -47,13 +49,16 @@ AIMS = {
 ENTRIES = '[class*="st-key-entry-"]'
 
 
-def start_server(home: Path) -> tuple[subprocess.Popen[bytes], str]:
-    """Start the server on a free port; return it with its address once it answers."""
+def start_server(home: Path, app: Path | None = None) -> tuple[subprocess.Popen[bytes], str]:
+    """Start the dashboard, or another app, on a free port; return it with its address."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
+    command = build_command(host="127.0.0.1", port=port, is_headless=True)
+    if app is not None:
+        command = [str(app) if part.endswith("app.py") else part for part in command]
     server = subprocess.Popen(
-        build_command(host="127.0.0.1", port=port, is_headless=True),
+        command,
         cwd=ROOT,
         env={**os.environ, HOME_VARIABLE: str(home), "PYTHONPATH": str(ROOT)},
         stdout=subprocess.DEVNULL,
@@ -125,6 +130,13 @@ def use_list(page: Any) -> dict[str, float]:
     return found
 
 
+def open_empty(page: Any, address: str) -> float:
+    """Open an app that shows a title only: what Streamlit and the browser take by themselves."""
+    return time_ms(
+        lambda: page.goto(address), lambda: page.locator("h1").first.wait_for(timeout=WAIT_MS)
+    )
+
+
 def open_trial(page: Any) -> float:
     """Open the first trial of the list; done when its verdict stands there."""
     return time_ms(
@@ -141,16 +153,23 @@ def measure(
 
     rows: dict[str, list[float]] = {name: [] for name in AIMS}
     server, address = start_server(home)
+    empty = home.parent / "empty.py"
+    empty.write_text(EMPTY, encoding="utf-8")
+    peer, peer_address = start_server(home, empty)
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=chromium, args=OPTIONS)
             warm = browser.new_page()
             open_list(warm, address)
             open_trial(warm)
+            open_empty(warm, peer_address)
             warm.close()
             time.sleep(3)  # until the folders' time can be trusted
             rows["server with no session"].append(read_memory_mb(server.pid))
             for _ in range(repeats):
+                page = browser.new_page()
+                rows["first paint of an empty app"].append(open_empty(page, peer_address))
+                page.close()
                 page = browser.new_page()
                 rows["first paint of the list"].append(open_list(page, address))
                 time.sleep(1)
@@ -174,8 +193,9 @@ def measure(
             rows["server with 10 sessions"].append(read_memory_mb(server.pid))
             browser.close()
     finally:
-        server.terminate()
-        server.wait(timeout=20)
+        for process in (server, peer):
+            process.terminate()
+            process.wait(timeout=20)
     return rows
 
 
