@@ -211,7 +211,8 @@ def _asymmetry(names: tuple[str, ...], value: Array, sigma: Array) -> list[tuple
             continue
         j = names.index(f"{base}_r")
         difference = value[:, i] - value[:, j]
-        if not np.isfinite(difference).any():
+        # A side that was hidden most of the time can't be compared with the other.
+        if np.isfinite(difference).mean() < 0.5:
             continue
         doubt = np.hypot(sigma[:, i], sigma[:, j])[np.isfinite(difference)]
         # Errors hardly change within a repetition, so that averaging does not shrink them.
