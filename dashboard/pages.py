@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import streamlit as st
 from streamlit.navigation.page import Page
 
@@ -17,13 +15,6 @@ CAMERAS = "views/cameras.py"
 MANAGE = "views/manage.py"
 SETTINGS = "views/settings.py"
 TRAIN = "views/train.py"
-
-
-def _train() -> dict[str, list[Page]]:
-    if not (Path(__file__).parent / TRAIN).is_file():
-        return {}
-    icon = ":material/fitness_center:"
-    return {"Train": [st.Page(TRAIN, title="Compare form", icon=icon, url_path="train")]}
 
 
 def build() -> dict[str, list[Page]]:
@@ -45,7 +36,11 @@ def build() -> dict[str, list[Page]]:
         "Manage": [
             st.Page(MANAGE, title="Overview", icon=":material/bar_chart:", url_path="manage"),
         ],
-        **_train(),
+        "Train": [
+            st.Page(
+                TRAIN, title="Compare form", icon=":material/fitness_center:", url_path="train"
+            ),
+        ],
         "Settings": [
             st.Page(SETTINGS, title="Settings", icon=":material/settings:", url_path="settings"),
         ],
