@@ -14,7 +14,7 @@ from dashboard.charts import BAND_FACTOR, DARK, LIGHT
 from dashboard.labels import PHASES, name_angle
 from engine.datatypes import Array
 from engine.form import Comparison, Score
-from engine.form.figures import phase_bounds
+from engine.form.phases import phase_bounds
 
 __all__ = ["ScorePoint", "plot_aligned", "plot_progress"]
 

@@ -16,7 +16,7 @@ from dashboard.widgets import is_dark, list_html, table_html, when
 from engine.datatypes import Measurement
 from engine.errors import DataError, EngineError
 from engine.form import Comparison, Repetition, advise
-from engine.form.figures import order_angles
+from engine.form.compare import order_angles
 from engine.storage.library import TrialEntry
 
 CHART = {"displaylogo": False, "displayModeBar": False}

@@ -16,7 +16,6 @@ from engine.datatypes import Measurement
 from engine.errors import ConfigError
 from engine.form import Comparison, PhaseDifference, Repetition, advise, find_repetitions
 from engine.form.compare import compare_every_repetition
-from engine.form.figures import plot_comparison
 from engine.form.performance import Performance
 from engine.form.repetitions import Kind
 from engine.storage.atomic import explain_os_errors, write_aside
@@ -261,6 +260,8 @@ def _write(
     reference: Performance,
     attempt: Performance,
 ) -> None:
+    from engine.form.figures import plot_comparison  # Matplotlib only where it draws
+
     kind: Kind = "lift" if shown.phases[0].key == "reach" else "exercise"
     movements = [find_repetitions(p, kind) for p in (reference, attempt)]
     document = encode_comparison(shown, found, *movements)

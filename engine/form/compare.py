@@ -27,6 +27,7 @@ __all__ = [
     "PhaseTiming",
     "compare_every_repetition",
     "compare_performances",
+    "order_angles",
 ]
 
 N_SAMPLES = 101
@@ -137,6 +138,13 @@ class Comparison:
     def attempt_time_at(self, reference_s: float) -> float:
         """Return the moment of the attempt that belongs to one of the reference, seconds."""
         return float(np.interp(reference_s, self.reference_time_s, self.attempt_time_s))
+
+
+def order_angles(comparison: Comparison) -> tuple[str, ...]:
+    """Return the compared angles, the one that differs most (over its error) first."""
+    ratio = np.abs(comparison.difference_deg) / comparison.difference_sigma_deg
+    order = np.argsort(-np.sqrt(np.mean(ratio**2, axis=0)), kind="stable")
+    return tuple(comparison.names[int(i)] for i in order)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,22 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from engine.form.compare import Comparison
+from engine.form.compare import Comparison, order_angles
 from engine.form.performance import side_of
-from engine.form.phases import Phase
+from engine.form.phases import phase_bounds
 
-__all__ = ["order_angles", "plot_comparison"]
+__all__ = ["plot_comparison"]
 
 COLORS = ("#0072b2", "#c24e00")
 COVERAGE_FACTOR = 1.96
 MOST_ANGLES = 8
-
-
-def order_angles(comparison: Comparison) -> tuple[str, ...]:
-    """Return the compared angles, the one that differs most (over its error) first."""
-    ratio = np.abs(comparison.difference_deg) / comparison.difference_sigma_deg
-    order = np.argsort(-np.sqrt(np.mean(ratio**2, axis=0)), kind="stable")
-    return tuple(comparison.names[int(i)] for i in order)
 
 
 def plot_comparison(comparison: Comparison) -> bytes:
@@ -91,11 +84,3 @@ def _plot_angle(ax: Axes, comparison: Comparison, name: str) -> None:
     ax.set_xlim(0, 100)
     ax.margins(y=0.08)
     ax.spines[["top", "right"]].set_visible(False)
-
-
-def phase_bounds(phases: tuple[Phase, ...]) -> list[float]:
-    """Return the bounds of the phases that are no moments, in percent of the movement."""
-    long = [p for p in phases if not p.is_moment]
-    start, end = long[0].start_s, long[-1].end_s
-    times = [long[0].start_s, *(p.end_s for p in long)]
-    return [100.0 * (t - start) / (end - start) for t in times]

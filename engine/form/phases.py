@@ -23,6 +23,7 @@ __all__ = [
     "LIFT_PHASES",
     "Phase",
     "movement_speed",
+    "phase_bounds",
     "segment_exercise",
     "segment_lift",
 ]
@@ -248,3 +249,11 @@ def _last_below(rising: Array, share: float) -> int:
     level = rising[0] + share * (rising[-1] - rising[0])
     below = np.flatnonzero(rising <= level)
     return int(below[-1]) if below.size else 0
+
+
+def phase_bounds(phases: tuple[Phase, ...]) -> list[float]:
+    """Return the bounds of the phases that are no moments, in percent of the movement."""
+    long = [p for p in phases if not p.is_moment]
+    start, end = long[0].start_s, long[-1].end_s
+    times = [long[0].start_s, *(p.end_s for p in long)]
+    return [100.0 * (t - start) / (end - start) for t in times]
