@@ -383,6 +383,10 @@ def main() -> None:
         rows.append(json.loads(file.read_text()))
     table = pd.DataFrame(rows)
     only = f" --persons {' '.join(options.persons)}" if options.persons else ""
+    if options.views:
+        only += " --views " + " ".join(f'"{name}"' for name in options.views)
+    if options.out != Path("benchmarks/results/risk"):
+        only += f" --out {options.out}"
     head = (
         "Risk from one or two cameras against the same methods on the true posture, lifts of "
         f"{LOAD_KG:g} kg (synthetic).\n"
