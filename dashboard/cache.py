@@ -26,6 +26,7 @@ from engine.jobs.local import JobQueue
 from engine.kinematics.fitting import geometric
 from engine.storage.atomic import write_aside
 from engine.storage.curation import TrialRecord
+from engine.storage.exports import export_result
 from engine.storage.library import Library
 from engine.storage.results import CALIBRATION_NAME, RESULT_FILES, StoredResult, read_result
 from engine.validate import compare_results
@@ -143,6 +144,19 @@ def uncorrected_angles(trial_id: str) -> JointAngles:
         value_deg=found.value_deg[:, keep],
         names=tuple(found.names[i] for i in keep),
     )
+
+
+def trial_pdf(stored: StoredResult) -> bytes:
+    """Return a trial's page as PDF."""
+    from engine.report import ReportOptions, render_trial_report
+
+    return render_trial_report(stored, ReportOptions())
+
+
+def export_bytes(folder: Path, suffix: str) -> bytes:
+    """Return a result in the format of another tool."""
+    with tempfile.TemporaryDirectory() as place:
+        return export_result(folder, suffix, Path(place)).read_bytes()
 
 
 def zip_result(folder: Path) -> bytes:

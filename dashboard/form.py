@@ -61,6 +61,8 @@ def read_request(videos: tuple[Path, ...]) -> JobRequest:
     return JobRequest(
         videos=videos,
         label=(value("label") or "").strip() or videos[0].stem.replace("_", " "),
+        site=(value("site") or "").strip(),
+        job=(value("job") or "").strip(),
         subject=Subject(
             label=(value("subject") or "").strip() or "subject",
             stature_m=value("stature_m"),
@@ -257,6 +259,11 @@ def ask_person() -> None:
 def ask_task() -> None:
     """Ask what the camera can't see of the work."""
     _text("label", "Name of the trial", placeholder="for example crate to shelf")
+    first, second = st.columns(2)
+    with first:
+        _text("site", "Site", placeholder="for example Hall 2")
+    with second:
+        _text("job", "Job", placeholder="for example packing")
     first, second = st.columns(2)
     with first:
         _number("load_kg", "Load (kg)", step=0.5, placeholder="for example 12", help_key="load")

@@ -65,6 +65,13 @@ SYNC_METHODS: dict[str, str] = {
     "both": "by movement and sound",
     "user": "entered by you",
 }
+EXPORTS: dict[str, str] = {
+    "csv": "Joint angles with their errors",
+    "trc": "Joints for OpenSim and others",
+    "mot": "Joint angles for OpenSim",
+    "c3d": "Joints and angles for motion analysis",
+    "bvh": "Moving figure for animation",
+}
 CAMERA_ADVICE = (
     "Two phones measure distances, twisting and the far arm much better than one. Usually nothing "
     "needs to be calibrated: LiftLens finds both cameras from the moving person and says how sure "
@@ -227,6 +234,8 @@ HELP: dict[str, str] = {
         "it is found from the movement and from the sound."
     ),
     "label": "Shown in the list of trials, for example: crate to shelf.",
+    "site": "Where the work is done; the overview compares sites.",
+    "job": "Which work it is; trials of one job are judged and compared together.",
     "subject": "A pseudonym, never the name of the person.",
     "stature": (
         "Body height in metres, without shoes. It sets the scale of everything that is "

@@ -32,7 +32,7 @@ UPLOAD_SOURCE, SAMPLE_SOURCE = "Upload a video", "Use a sample"
 FIELDS = (
     "label", "subject", "stature_m", "sex", "mass_kg", "load_kg", "hands", "coupling",
     "frequency_per_min", "duration_h", "recovery_h", "destination_control", "sample",
-    "two_cameras", "calibration", "offset_s",
+    "two_cameras", "calibration", "offset_s", "site", "job",
 )  # fmt: skip
 
 
@@ -184,6 +184,8 @@ def _form_values(request: JobRequest) -> dict[str, Any]:
     return {
         **known,
         "label": request.label,
+        "site": request.site,
+        "job": request.job,
         "subject": request.subject.label,
         "two_cameras": len(request.videos) == 2,
         "calibration": two_view.calibration,

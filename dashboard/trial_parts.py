@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import partial
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import streamlit as st
@@ -366,13 +368,35 @@ def show_downloads(result: StoredResult) -> None:
             on_click="ignore",
             help="Every file of the result: numbers, joint positions, angles, annotated video.",
         )
-        for name, mime in (("trial.json", "application/json"), ("angles.csv", "text/csv")):
-            if (folder / name).is_file():
-                st.download_button(
-                    name,
-                    (folder / name).read_bytes(),
-                    file_name=name,
-                    mime=mime,
-                    icon=":material/download:",
-                    on_click="ignore",
-                )
+        st.download_button(
+            "One page (PDF)",
+            lambda: cache.trial_pdf(result),
+            key="download-pdf",
+            file_name=f"{folder.name}.pdf",
+            mime="application/pdf",
+            icon=":material/picture_as_pdf:",
+            on_click="ignore",
+            help="Picture, flags, limits with their intervals, and what to change.",
+        )
+        with st.popover("For other tools", icon=":material/download:"):
+            _offer_exports(folder)
+
+
+def _offer_exports(folder: Path) -> None:
+    for suffix, what in labels.EXPORTS.items():
+        st.download_button(
+            f"{what} (.{suffix})",
+            partial(cache.export_bytes, folder, suffix),
+            key=f"download-{suffix}",
+            file_name=f"{folder.name}.{suffix}",
+            on_click="ignore",
+            width="stretch",
+        )
+    st.download_button(
+        "Everything as numbers (.json)",
+        (folder / "trial.json").read_bytes(),
+        file_name="trial.json",
+        mime="application/json",
+        on_click="ignore",
+        width="stretch",
+    )

@@ -78,9 +78,12 @@ def test_a_second_camera_is_asked_for_and_reaches_the_job(form, queue, tmp_path)
         next(iter(cache.calibrations()))
     )
     field(form, "Time between").set_value(0.35)
+    field(form, "Site").set_value("Hall 2")
+    field(form, "Job").set_value("packing")
     form.button(key="start").click().run()
     request = queue.request(queue.jobs()[0].id)
     assert [v.name for v in request.videos] == ["lift.mp4", "front.mp4"]
+    assert (request.site, request.job) == ("Hall 2", "packing")
     assert request.settings.two_view.given_offset_s == 0.35
     assert Path(request.settings.two_view.calibration).stem == "Hall_2_packing"
 

@@ -136,9 +136,18 @@ def test_the_result_can_be_downloaded(app, library, trial_id):
     open_trial(app, trial_id)
     assert [b.label for b in app.get("download_button")] == [
         "Whole result (zip)",
-        "trial.json",
-        "angles.csv",
+        "One page (PDF)",
+        "Joint angles with their errors (.csv)",
+        "Joints for OpenSim and others (.trc)",
+        "Joint angles for OpenSim (.mot)",
+        "Joints and angles for motion analysis (.c3d)",
+        "Moving figure for animation (.bvh)",
+        "Everything as numbers (.json)",
     ]
+    folder = library.folder(trial_id)
+    assert cache.trial_pdf(cache.result(trial_id)).startswith(b"%PDF-")
+    for suffix, start in {"trc": b"PathFileType", "bvh": b"HIERARCHY", "csv": b"time_s"}.items():
+        assert cache.export_bytes(folder, suffix).startswith(start)
     packed = zipfile.ZipFile(io.BytesIO(cache.zip_result(library.folder(trial_id))))
     names = {name.removeprefix(f"{trial_id}/") for name in packed.namelist()}
     assert {"trial.json", "tracks.npz", "angles.csv", "angles.mot", "keypoints.trc"} <= names
