@@ -131,7 +131,7 @@ class TestSampleData:
 
     def test_list_is_what_the_demo_reads(self):
         samples = read_samples()
-        assert [s.key for s in samples] == [*SYNTHETIC, "real_walkway"]
+        assert [s.key for s in samples] == [*SYNTHETIC, "real_walkway", "two_cameras"]
         assert all(s.licence for s in samples)
 
     @pytest.mark.parametrize("name", SYNTHETIC)

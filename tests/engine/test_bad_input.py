@@ -420,8 +420,8 @@ class TestWrongWords:
         refuse(assess(clip, "--start", 60), 3, "from 60 s on", "its last one is at 0.47 s")
         refuse(assess(clip, "--start", 60, "--stop", 70), 3, "60 to 70 s")
 
-    def test_two_videos(self, assess: Any, clip: Path) -> None:
-        refuse(assess(clip, clip), 2, "Expected one video, got two", "side only")
+    def test_one_video_given_twice(self, assess: Any, clip: Path) -> None:
+        refuse(assess(clip, clip), 2, "two videos from different sides", "give one video only")
 
     def test_a_missing_network_is_exit_4(
         self, assess: Any, clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -67,14 +67,14 @@ def test_both_views_show_the_same_moments(offset_s: float, drift: float, rates) 
     first, second = result.views
     assert np.array_equal(first.image.time_s, second.image.time_s)
     assert first.image.time_s[0] == 0.0
-    np.testing.assert_allclose(moments_of(first), moments_of(second), atol=1e-9)
+    np.testing.assert_allclose(moments_of(first), moments_of(second), atol=1e-7)
     np.testing.assert_allclose(
-        moments_of(first), first.image.time_s + result.start_in_first_s, atol=1e-9
+        moments_of(first), first.image.time_s + result.start_in_first_s, atol=1e-7
     )
     in_second = result.start_in_second_s + result.rate_in_second * second.image.time_s
-    np.testing.assert_allclose(in_second * (1.0 + drift) + offset_s, moments_of(second), atol=1e-9)
+    np.testing.assert_allclose(in_second * (1.0 + drift) + offset_s, moments_of(second), atol=1e-7)
     np.testing.assert_allclose(second.box[:, 0], 10.0 * moments_of(second), atol=1e-6)
-    np.testing.assert_allclose(second.body.position[:, 0, 0], moments_of(second) / 10, atol=1e-9)
+    np.testing.assert_allclose(second.body.position[:, 0, 0], moments_of(second) / 10, atol=1e-7)
 
 
 def test_the_slower_views_samples_stay_as_they_are() -> None:
