@@ -99,10 +99,7 @@ export class Clock {
     if (this.playing) return;
     if (this.index >= this.times.length - 1) this.seek(this.first);
     this.playing = true;
-    for (const video of this.videos) {
-      video.playbackRate = this.speed;
-      video.play().catch(() => video === this.videos[0] && this.pause());
-    }
+    for (const video of this.videos) this.#start(video);
     this.onState();
     let before = performance.now();
     const tick = (now) => {
@@ -112,6 +109,17 @@ export class Clock {
       requestAnimationFrame(tick);
     };
     requestAnimationFrame(tick);
+  }
+
+  /** A video that is still on its way to a picture starts there, not where it comes from. */
+  #start(video) {
+    if (!this.playing) return;
+    if (video.seeking || this.wanted.has(video)) {
+      video.addEventListener("seeked", () => this.#start(video), { once: true });
+      return;
+    }
+    video.playbackRate = this.speed;
+    video.play().catch(() => video === this.videos[0] && this.pause());
   }
 
   #advance(passed) {
