@@ -24,6 +24,12 @@ SOFTWARE_3D = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--igno
 NO_3D = ["--disable-3d-apis"]
 FRAME = "iframe[title*=liftlens_player]"
 FPS = 30.0
+SETTLED = """() => {
+  // Curves are drawn anew while the page around the player finds its width.
+  const plot = document.querySelector('.plot');
+  if (plot !== window.seenPlot) [window.seenPlot, window.seenSince] = [plot, performance.now()];
+  return plot && performance.now() - window.seenSince > 700;
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +109,7 @@ def open_player(browser, address):
         inner.wait_for_function(
             "[...document.querySelectorAll('video')].every(v => v.readyState === 4)"
         )
+        inner.wait_for_function(SETTLED)
         return page, inner
 
     yield open_one
