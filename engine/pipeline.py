@@ -181,14 +181,17 @@ def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> 
     timings: dict[str, float] = {}
     with _timed(timings, "reconstruction"):
         raw, scene, joined = _reconstruct(trial, poses, config)
+    fused_views = joined if config.two_view.fusion == "model" else None
     with _timed(timings, "correction"):
-        corrected = correct_track(
-            raw, stature_m=trial.subject.stature.value, **dataclasses.asdict(config.correction)
-        )
+        corrected = every_joint = _keep_doubtful_joints(trial, raw, config)
+        if fused_views is None:
+            corrected = correct_track(
+                raw, stature_m=trial.subject.stature.value, **dataclasses.asdict(config.correction)
+            )
     with _timed(timings, "kinematics"):
-        every_joint = _keep_doubtful_joints(trial, raw, config)
-        if joined is not None and config.two_view.fusion == "model":
-            fused = fuse_views(joined.views, joined.calibration.cameras, every_joint, trial.subject)
+        if fused_views is not None:
+            cameras = fused_views.calibration.cameras
+            fused = fuse_views(fused_views.views, cameras, every_joint, trial.subject)
             # A body fitted to both pictures knows where hidden hands are.
             corrected, fit, every_joint = fused.track, fused.fit, fused.track
         else:
