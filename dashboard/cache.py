@@ -146,13 +146,6 @@ def uncorrected_angles(trial_id: str) -> JointAngles:
     )
 
 
-def trial_pdf(stored: StoredResult) -> bytes:
-    """Return a trial's page as PDF."""
-    from engine.report import ReportOptions, render_trial_report
-
-    return render_trial_report(stored, ReportOptions())
-
-
 def export_bytes(folder: Path, suffix: str) -> bytes:
     """Return a result in the format of another tool."""
     with tempfile.TemporaryDirectory() as place:

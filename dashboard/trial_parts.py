@@ -11,7 +11,7 @@ from typing import Any
 
 import streamlit as st
 
-from dashboard import cache, charts, labels
+from dashboard import cache, charts, labels, manage_cache
 from dashboard.labels import format_measurement, format_number, format_window
 from dashboard.widgets import (
     chip_html,
@@ -23,6 +23,7 @@ from dashboard.widgets import (
     when,
 )
 from engine.datatypes import Flag, FlagLevel, RiskResult
+from engine.report import ReportOptions
 from engine.storage.results import StoredResult
 
 URGENCY = (FlagLevel.HIGH, FlagLevel.REVIEW, FlagLevel.OK)
@@ -370,7 +371,7 @@ def show_downloads(result: StoredResult) -> None:
         )
         st.download_button(
             "One page (PDF)",
-            lambda: cache.trial_pdf(result),
+            lambda: manage_cache.trial_report(folder.name, ReportOptions()),
             key="download-pdf",
             file_name=f"{folder.name}.pdf",
             mime="application/pdf",

@@ -5,7 +5,8 @@ import zipfile
 
 import pytest
 
-from dashboard import cache
+from dashboard import cache, manage_cache
+from engine.report import ReportOptions
 from engine.storage.results import write_result
 from tests.builders import make_body_fit, make_risk, make_scene, make_trial_result
 from tests.dashboard.results import add_trial, make_shown_result
@@ -145,7 +146,7 @@ def test_the_result_can_be_downloaded(app, library, trial_id):
         "Everything as numbers (.json)",
     ]
     folder = library.folder(trial_id)
-    assert cache.trial_pdf(cache.result(trial_id)).startswith(b"%PDF-")
+    assert manage_cache.trial_report(trial_id, ReportOptions()).startswith(b"%PDF-")
     for suffix, start in {"trc": b"PathFileType", "bvh": b"HIERARCHY", "csv": b"time_s"}.items():
         assert cache.export_bytes(folder, suffix).startswith(start)
     packed = zipfile.ZipFile(io.BytesIO(cache.zip_result(library.folder(trial_id))))
