@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
@@ -40,11 +41,17 @@ def home(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def address(home, tmp_path_factory):
-    """The real server, started as `liftlens serve` does, on an empty library."""
+    """The real server on an empty library."""
+    with serve(home, tmp_path_factory.mktemp("log") / "server.txt") as base:
+        yield base
+
+
+@contextlib.contextmanager
+def serve(home, log):
+    """Run the real server, as `liftlens serve` starts it, on a library; give its address."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    log = tmp_path_factory.mktemp("log") / "server.txt"
     with log.open("wb") as file:
         server = subprocess.Popen(
             build_command(host="127.0.0.1", port=port, is_headless=True),

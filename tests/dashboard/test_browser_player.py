@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import os
 import re
-import socket
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from engine.cli_serve import build_command
-from engine.storage.library import HOME_VARIABLE, Library
+from engine.storage.library import Library
 from engine.storage.results import write_result
 from tests.builders import make_two_views
 from tests.dashboard.results import make_shown_result, write_clip
-from tests.dashboard.test_browser import CHROMIUM_OPTIONS, ROOT, _note_stranger, _wait_until_up
+from tests.dashboard.test_browser import CHROMIUM_OPTIONS, _note_stranger, serve
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -51,24 +48,8 @@ def home(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def address(home, tmp_path_factory):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    log = tmp_path_factory.mktemp("log") / "server.txt"
-    with log.open("wb") as file:
-        server = subprocess.Popen(
-            build_command(host="127.0.0.1", port=port, is_headless=True),
-            cwd=ROOT,
-            env={**os.environ, HOME_VARIABLE: str(home), "PYTHONPATH": str(ROOT)},
-            stdout=file,
-            stderr=file,
-        )
-    try:
-        _wait_until_up(f"http://127.0.0.1:{port}", server, log)
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        server.terminate()
-        server.wait(timeout=20)
+    with serve(home, tmp_path_factory.mktemp("log") / "server.txt") as base:
+        yield base
 
 
 @pytest.fixture(scope="module")
