@@ -10,14 +10,14 @@ import importlib
 import importlib.util
 import pkgutil
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import engine.pose.backends as backends_package
 from engine.config import PoseConfig
 from engine.datatypes import ProgressCallback, TrackedStream, ViewInfo, ViewPose
 from engine.errors import BackendUnavailable, ConfigError
 
-__all__ = ["BackendInfo", "PoseBackend", "create_backend", "list_backends"]
+__all__ = ["BackendInfo", "LiftingBackend", "PoseBackend", "create_backend", "list_backends"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ class BackendInfo:
     """What a user should know of an estimator.
 
     `requires` are the modules it imports when used; `extra` the optional extra that installs
-    them. `takes_model` says whether it reads the file that `PoseConfig.model` names.
+    them. `takes_model` says whether it reads the file that `PoseConfig.model` names; `lifts`
+    whether it starts from keypoints that MediaPipe found in the picture (`LiftingBackend`).
     """
 
     name: str
@@ -37,6 +38,7 @@ class BackendInfo:
     extra: str = ""
     needs_video: bool = True
     takes_model: bool = False
+    lifts: bool = False
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -58,6 +60,20 @@ class PoseBackend(Protocol):
         self, frames: TrackedStream, view: ViewInfo, progress: ProgressCallback
     ) -> ViewPose:
         """Estimate the keypoints of the person in `box` of every frame."""
+
+
+@runtime_checkable
+class LiftingBackend(PoseBackend, Protocol):
+    """An estimator that needs no picture once the keypoints in it are known."""
+
+    def lift(self, pose: ViewPose) -> ViewPose:
+        """Return what was seen with a new body track: the image track lifted to metres.
+
+        Parameters
+        ----------
+        pose
+            Keypoints of another estimator, with MediaPipe's 33 landmarks in the picture.
+        """
 
 
 def list_backends() -> tuple[BackendInfo, ...]:
