@@ -115,7 +115,8 @@ class PoseConfig:
 
     `variant` is `heavy` (default, for measurement) or `full` (faster, less exact);
     `threads` the number of inference threads, 0 = one per core; `model` the file of keypoints that
-    the estimator `stored` reads.
+    the estimator `stored` reads. `ik` is how the estimator `hybrik` turns joints into rotations:
+    `adaptive` aims every bone from where the bones before it ended, `naive` along the joints seen.
     """
 
     backend: str = "mediapipe"
@@ -123,6 +124,7 @@ class PoseConfig:
     threads: int = 0
     min_person_confidence: float = 0.5
     model: str = ""
+    ik: Literal["adaptive", "naive"] = "adaptive"
 
     def __post_init__(self) -> None:
         _require_between(0, 256, threads=self.threads)
