@@ -12,6 +12,7 @@ REFERENCE = "views/reference.py"
 RISK = "views/risk.py"
 IMPROVE = "views/improve.py"
 CAMERAS = "views/cameras.py"
+ESTIMATORS = "views/estimators.py"
 MANAGE = "views/manage.py"
 SETTINGS = "views/settings.py"
 TRAIN = "views/train.py"
@@ -31,6 +32,7 @@ def build() -> dict[str, list[Page]]:
                 REFERENCE, title="Reference", icon=":material/compare_arrows:", url_path="reference"
             ),
             st.Page(CAMERAS, title="Cameras", icon=":material/videocam:", url_path="cameras"),
+            st.Page(ESTIMATORS, title="Estimators", icon=":material/hub:", url_path="estimators"),
             st.Page(TRIAL, title="Trial", url_path="trial", visibility="hidden"),
         ],
         "Manage": [

@@ -370,3 +370,11 @@ def set_compared(reference: str, attempt: str) -> None:
 def train_key(name: str) -> str:
     """Return the widget key of an input of the page that compares form."""
     return f"train_{name}"
+
+
+# --------------------------------------------------------------------------- estimators
+
+
+def estimator_key(name: str) -> str:
+    """Return the widget key of an input of the page that compares estimators."""
+    return f"estimators_{name}"

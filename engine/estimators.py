@@ -31,6 +31,7 @@ from engine.errors import ConfigError, DataError, EngineError
 from engine.pipeline import assess_pose
 from engine.pose.base import BackendInfo, LiftingBackend, create_backend, list_backends
 from engine.storage.results import StoredResult
+from engine.validation.curves import angle_difference
 
 __all__ = [
     "EstimatorRun",
@@ -38,6 +39,7 @@ __all__ = [
     "compare_on_stored",
     "lift_keypoints",
     "list_lifters",
+    "mean_differences",
     "outlier_ratio",
 ]
 
@@ -165,6 +167,23 @@ def _run(info: BackendInfo, trial: Trial, pose: ViewPose, config: Config) -> Est
         fit_residual_m=_mean_residual(result),
         lifting_s_per_frame=0.0 if lifted is pose else spent / n_frames,
     )
+
+
+def mean_differences(run: EstimatorRun, against: EstimatorRun) -> dict[str, float]:
+    """Return the mean absolute difference of every angle that both give, degrees.
+
+    Frames in which either is missing are left out; NaN where no frame is left.
+    """
+    if run.result is None or against.result is None:
+        return {}
+    ours, theirs = run.result.angles, against.result.angles
+    differences = {}
+    for name in ours.names:
+        if name in theirs.names:
+            off = np.abs(angle_difference(ours[name], theirs[name]))
+            known = np.isfinite(off)
+            differences[name] = float(off[known].mean()) if known.any() else math.nan
+    return differences
 
 
 def _mean_residual(result: TrialResult) -> float:
