@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.config import Config, PoseConfig
+from engine.config import Config, KinematicsConfig, PoseConfig
 from engine.correction.links import measure_links
 from engine.correction.paper import correct_as_published
 from engine.datatypes import (
@@ -121,7 +121,7 @@ def compare_estimators(
     names
         Estimators, in the order wanted; see `list_lifters`.
     config
-        Settings of everything else; the defaults if None.
+        Settings of everything else; if None the defaults, with the fit of the body.
     progress
         Called as ``progress("estimators", done, total)``; may raise `Cancelled`.
 
@@ -135,7 +135,8 @@ def compare_estimators(
     ConfigError
         If there is no estimator of a name.
     """
-    config = config or Config()
+    # Only a fitted body has a distance from the keypoints.
+    config = config or Config(kinematics=KinematicsConfig(solver="least-squares"))
     known = {info.name: info for info in list_backends()}
     if unknown := [name for name in names if name not in known]:
         raise ConfigError(
