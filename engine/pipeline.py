@@ -5,24 +5,40 @@ from __future__ import annotations
 import dataclasses
 import math
 import platform
+import shutil
 import time
-from collections.abc import Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from engine.cameras.files.own import format_calibration
 from engine.cameras.monocular import reconstruct_single_view
-from engine.config import Config
+from engine.config import Config, SubjectConfig, build_config
 from engine.correction.chain import correct_track, summarise_status
+from engine.corrections import (
+    CONFIG_TABLE,
+    NO_CORRECTIONS,
+    SAME_MOMENT_S,
+    Corrections,
+    PersonChoice,
+    apply_corrections,
+    read_corrections,
+    restore_sides,
+)
 from engine.datatypes import (
+    Frame,
     JointAngles,
     PoseTrack,
     ProgressCallback,
     RiskResult,
+    TrackedFrame,
     Trial,
     TrialResult,
     View,
@@ -33,13 +49,13 @@ from engine.datatypes import (
 from engine.ergonomics.assess import assess_risk
 from engine.ergonomics.base import Exposure, select_methods
 from engine.ergonomics.flags import raise_flags
-from engine.errors import ConfigError, VideoError
+from engine.errors import ConfigError, NoPersonFound, VideoError
 from engine.kinematics.events import LiftFindings, detect_lifts
 from engine.kinematics.fitting.base import add_scene_errors, select_solver
 from engine.kinematics.fusion import fuse_views
 from engine.pose.base import create_backend
 from engine.storage.atomic import scratch_folder
-from engine.storage.results import check_target, write_result
+from engine.storage.results import CALIBRATION_NAME, StoredResult, check_target, write_result
 from engine.subject.detector import PersonDetector
 from engine.subject.tracker import follow_person
 from engine.timing import NETWORK_CLOCK
@@ -51,11 +67,22 @@ from engine.video.steadiness import CameraWatch
 from engine.video.sync import resample_views
 from engine.video.thumbnail import write_thumbnail
 
-__all__ = ["assess", "assess_pose", "assess_poses", "assess_to_folder", "observe_views"]
+__all__ = [
+    "assess",
+    "assess_pose",
+    "assess_poses",
+    "assess_to_folder",
+    "observe_views",
+    "reassess",
+    "reassess_to_folder",
+]
 
 
 def assess(
-    trial: Trial, config: Config | None = None, progress: ProgressCallback = ignore_progress
+    trial: Trial,
+    config: Config | None = None,
+    progress: ProgressCallback = ignore_progress,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> TrialResult:
     """Assess one trial: from video to lifts, risk and flags.
 
@@ -67,6 +94,8 @@ def assess(
         Settings; the defaults if None.
     progress
         Called as ``progress(stage, done, total)``; may raise `Cancelled`.
+    corrections
+        What a person saw otherwise than LiftLens.
 
     Returns
     -------
@@ -76,7 +105,7 @@ def assess(
     Raises
     ------
     ConfigError
-        If a setting can't be followed.
+        If a setting or a correction can't be followed.
     VideoError
         If the video can't be used.
     NoPersonFound
@@ -94,12 +123,17 @@ def assess(
         check_files(trial.views, config.two_view)
     start = time.perf_counter()
     poses = tuple(
-        estimate_view(view, config, _share_of(progress, number, len(trial.views)))
+        estimate_view(
+            view,
+            config,
+            _share_of(progress, number, len(trial.views)),
+            persons=corrections.persons_in(number),
+        )
         for number, view in enumerate(trial.views)
     )
     spent = time.perf_counter() - start
     progress("scene", 0, 0)
-    result = assess_poses(trial, poses, config)
+    result = assess_poses(trial, poses, config, corrections)
     networks_s = sum(pose.model_time_s for pose in poses)
     timings = {"pose": spent, "networks": networks_s, **result.timings_s}
     return dataclasses.replace(result, timings_s=timings)
@@ -141,7 +175,10 @@ def assess_pose(trial: Trial, pose: ViewPose, config: Config | None = None) -> T
 
 
 def assess_poses(
-    trial: Trial, poses: Sequence[ViewPose], config: Config | None = None
+    trial: Trial,
+    poses: Sequence[ViewPose],
+    config: Config | None = None,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> TrialResult:
     """Assess a trial from keypoints that were already estimated.
 
@@ -153,6 +190,9 @@ def assess_poses(
         What an estimator saw in each video, in that video's time.
     config
         Settings; the defaults if None.
+    corrections
+        What a person saw otherwise: sides to exchange in `poses`, and when the lifts were. Whom
+        they followed is in `poses` already.
 
     Returns
     -------
@@ -164,7 +204,7 @@ def assess_poses(
     AssessmentError
         If the keypoints don't show enough of the person to find scale and direction.
     ConfigError
-        If a setting can't be followed, or there are not as many poses as views.
+        If a setting or a correction can't be followed, or there are not as many poses as views.
     SyncError, CalibrationError
         If two views can't be brought into one time and one world.
     """
@@ -174,10 +214,13 @@ def assess_poses(
         )
     # Thousands of tiny matrices: handing each to several threads costs a hundred times the work.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _assess_poses(trial, tuple(poses), config or Config())
+        return _assess_poses(trial, tuple(poses), config or Config(), corrections)
 
 
-def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> TrialResult:
+def _assess_poses(
+    trial: Trial, poses: tuple[ViewPose, ...], config: Config, corrections: Corrections
+) -> TrialResult:
+    poses = apply_corrections(poses, corrections.swaps)
     timings: dict[str, float] = {}
     with _timed(timings, "reconstruction"):
         raw, scene, joined = _reconstruct(trial, poses, config)
@@ -197,7 +240,7 @@ def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> 
         else:
             fit = select_solver(config.kinematics.solver).fit(corrected, trial.subject)
         angles = add_scene_errors(fit.angles, scene)
-        findings = _find_lifts(trial, every_joint, angles, scene, config)
+        findings = _find_lifts(trial, every_joint, angles, scene, config, corrections)
     coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
     with _timed(timings, "risk"):
         risk = _assess_risk(trial, scene, corrected, angles, findings, config)
@@ -218,8 +261,9 @@ def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> 
             *_warnings_of_correction(corrected),
             *fit.warnings,
             *findings.warnings,
+            *corrections.describe(),
         ),
-        config=config.as_dict(),
+        config=_list_settings(config, corrections),
         backend=config.pose.backend,
         solver=config.kinematics.solver,
         versions={"liftlens": __version__, "python": platform.python_version(), **list_versions()},
@@ -230,6 +274,13 @@ def _assess_poses(trial: Trial, poses: tuple[ViewPose, ...], config: Config) -> 
         checks=joined.checks if joined else (),
         sync=joined.sync if joined else None,
     )
+
+
+def _list_settings(config: Config, corrections: Corrections) -> dict[str, Any]:
+    """Return all that decided a result, as it is stored with it."""
+    if corrections == NO_CORRECTIONS:
+        return config.as_dict()
+    return {**config.as_dict(), CONFIG_TABLE: corrections.as_plain()}
 
 
 def _reconstruct(
@@ -264,8 +315,17 @@ MEASURED_KEYPOINTS = tuple(
 """The joints that coverage is counted over; fingers and face hardly enter the assessment."""
 
 
-def estimate_view(view: View, config: Config, progress: ProgressCallback) -> ViewPose:
-    """Read one video, follow the person and estimate the pose, in one pass over the pictures."""
+def estimate_view(
+    view: View,
+    config: Config,
+    progress: ProgressCallback,
+    *,
+    persons: Sequence[PersonChoice] = (),
+) -> ViewPose:
+    """Read one video, follow the person and estimate the pose, in one pass over the pictures.
+
+    `persons` are those a user chose, in order of time.
+    """
     # Networks take a second to load: between them is a chance to cancel.
     progress("probe", 0, 0)
     info = probe_video(view.path)
@@ -275,7 +335,7 @@ def estimate_view(view: View, config: Config, progress: ProgressCallback) -> Vie
     detector = PersonDetector(threads=config.pose.threads)
     progress("subject", 0, 0)
     frames = read_frames(view.path, start_s=config.video.start_s, stop_s=config.video.stop_s)
-    tracked = follow_person(frames, detector, **dataclasses.asdict(config.subject))
+    tracked = _follow(frames, detector, config.subject, persons)
     camera = CameraWatch()
     networks_s = NETWORK_CLOCK.total_s
     pose = backend.estimate(camera.watch(tracked), info, progress)
@@ -292,6 +352,42 @@ def estimate_view(view: View, config: Config, progress: ProgressCallback) -> Vie
         image=dataclasses.replace(pose.image, provenance=provenance),
         model_time_s=NETWORK_CLOCK.total_s - networks_s,
     )
+
+
+def _follow(
+    frames: Iterable[Frame],
+    detector: PersonDetector,
+    settings: SubjectConfig,
+    persons: Sequence[PersonChoice],
+) -> Iterator[TrackedFrame]:
+    """Follow one person, and from the moment of each choice on whom the user chose.
+
+    Raises
+    ------
+    ConfigError
+        If the video ends before a choice.
+    NoPersonFound
+        If nobody was seen.
+    """
+    moments = [person.at_s - SAME_MOMENT_S for person in persons]
+    number, last_s = 0, 0.0
+    for number, part in groupby(frames, key=lambda frame: bisect_right(moments, frame.time_s)):
+        box = persons[number - 1].box if number else settings.box
+        try:
+            for tracked in follow_person(
+                part, detector, **{**dataclasses.asdict(settings), "box": box}
+            ):
+                last_s = tracked.frame.time_s
+                yield tracked
+        except NoPersonFound:
+            # Before the first choice there may be nobody.
+            if not persons:
+                raise
+    if number < len(persons):
+        raise ConfigError(
+            f"The person to follow is chosen at {persons[-1].at_s:.2f} s, but the video ends at "
+            f"{last_s:.2f} s; choose a moment before that."
+        )
 
 
 def _doubtful_view(track: PoseTrack, scene: WorldScene) -> Iterator[str]:
@@ -335,7 +431,12 @@ def _keep_doubtful_joints(trial: Trial, raw: PoseTrack, config: Config) -> PoseT
 
 
 def _find_lifts(
-    trial: Trial, track: PoseTrack, angles: JointAngles, scene: WorldScene, config: Config
+    trial: Trial,
+    track: PoseTrack,
+    angles: JointAngles,
+    scene: WorldScene,
+    config: Config,
+    corrections: Corrections,
 ) -> LiftFindings:
     return detect_lifts(
         track,
@@ -343,6 +444,8 @@ def _find_lifts(
         scene,
         stature_m=trial.subject.stature.value,
         sex=trial.subject.sex,
+        set_lifts=corrections.set_lifts,
+        not_lifts=corrections.not_lifts,
         **dataclasses.asdict(config.events),
     )
 
@@ -408,12 +511,13 @@ def assess_to_folder(
     config: Config,
     folder: Path,
     progress: ProgressCallback = ignore_progress,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> Path:
     """Assess one trial and write its result folder, annotated video included.
 
     Parameters
     ----------
-    trial, config, progress
+    trial, config, progress, corrections
         As in `assess`.
     folder
         Where to write; complete or not at all.
@@ -428,15 +532,158 @@ def assess_to_folder(
     OutputError
         If the folder can't be written.
     """
+    folder = _require_target(folder)
+    return _write(assess(trial, config, progress, corrections), config, folder, progress)
+
+
+def reassess(
+    stored: StoredResult,
+    corrections: Corrections,
+    videos: Sequence[Path] = (),
+    progress: ProgressCallback = ignore_progress,
+) -> TrialResult:
+    """Assess a stored trial anew, with other corrections and everything else as it was.
+
+    Parameters
+    ----------
+    stored
+        The result to start from.
+    corrections
+        All that is to be corrected now; what the result was corrected by before, and is not among
+        them, is taken back.
+    videos
+        The videos it was made from, in their order; only needed where another person is followed
+        than before. Otherwise the stored keypoints are used.
+    progress
+        As in `assess`.
+
+    Returns
+    -------
+    TrialResult
+        Nothing is written.
+
+    Raises
+    ------
+    VideoError
+        If videos are needed and not given, or are not the ones that were assessed.
+    ConfigError
+        If a correction can't be followed.
+    """
+    _require_same_videos(stored, videos)
+    trial, config = _recall(stored, videos)
+    if set(corrections.persons) == set(read_corrections(stored.document).persons):
+        progress("scene", 0, 0)
+        return assess_poses(trial, restore_sides(stored.views), config, corrections)
+    if not videos:
+        names = " and ".join(view.info.file_name for view in stored.views)
+        raise VideoError(
+            f"Following another person needs the video again; add the file that was assessed "
+            f"({names})."
+        )
+    return assess(trial, config, progress, corrections)
+
+
+def reassess_to_folder(
+    stored: StoredResult,
+    corrections: Corrections,
+    folder: Path,
+    videos: Sequence[Path] = (),
+    progress: ProgressCallback = ignore_progress,
+) -> Path:
+    """Assess a stored trial anew (see `reassess`) and write its result folder.
+
+    Without the videos, the annotated ones are taken over as they are, and the result says so.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    OutputError
+        If the folder can't be written.
+    """
+    folder = _require_target(folder)
+    result = reassess(stored, corrections, videos, progress)
+    _, config = _recall(stored, videos)
+    if videos or stored.overlay_path is None:
+        drawn = dataclasses.replace(config.output, overlay=stored.overlay_path is not None)
+        return _write(result, dataclasses.replace(config, output=drawn), folder, progress)
+    result = dataclasses.replace(result, warnings=(*result.warnings, OLD_OVERLAY))
+    return _write(result, config, folder, progress, earlier=stored)
+
+
+OLD_OVERLAY = (
+    "The annotated video was not drawn again, since the original is no longer kept: it shows "
+    "sides and lifts as they were before the correction."
+)
+
+
+def _require_same_videos(stored: StoredResult, videos: Sequence[Path]) -> None:
+    if videos and len(videos) != len(stored.views):
+        raise ConfigError(
+            f"The trial has {len(stored.views)} videos, but {len(videos)} are given; give all."
+        )
+    for video, view in zip(videos, stored.views, strict=False):
+        if probe_video(video).sha256 != view.info.sha256:
+            raise VideoError(
+                f"{video.name} is not the video that was assessed: expected {view.info.file_name} "
+                f"with the fingerprint {view.info.sha256[:16]}; choose that file."
+            )
+
+
+def _recall(stored: StoredResult, videos: Sequence[Path]) -> tuple[Trial, Config]:
+    """Return the trial and the settings a result was made from."""
+    document = stored.document
+    # Without a video only its name counts; nothing in the working folder may be taken for it.
+    names = [view.info.file_name for view in stored.views]
+    paths = videos or [stored.folder / "video not kept" / name for name in names]
+    trial = Trial(
+        views=tuple(View(path) for path in paths),
+        subject=stored.subject,
+        task=stored.task,
+        label=document["label"],
+        site=document["site"],
+        job=document["job"],
+    )
+    tables = {k: v for k, v in document["config"].items() if k != CONFIG_TABLE}
+    return trial, _keep_cameras(build_config(tables), stored, videos)
+
+
+def _keep_cameras(config: Config, stored: StoredResult, videos: Sequence[Path]) -> Config:
+    """Take cameras and clocks from the result where what they were found from is gone."""
+    two_view, sync = config.two_view, stored.sync
+    kept = stored.folder / CALIBRATION_NAME
+    if two_view.calibration and not Path(two_view.calibration).is_file() and kept.is_file():
+        two_view = dataclasses.replace(two_view, calibration=str(kept))
+    if sync is not None and not videos and sync.method in ("audio", "both"):
+        two_view = dataclasses.replace(two_view, sync=repr(sync.offset_s))
+    return dataclasses.replace(config, two_view=two_view)
+
+
+def _require_target(folder: Path) -> Path:
     folder = check_target(folder)
     with scratch_folder(folder):
         pass  # a disk that takes nothing is found out now, not after the long work
-    result = assess(trial, config, progress)
+    return folder
+
+
+def _write(
+    result: TrialResult,
+    config: Config,
+    folder: Path,
+    progress: ProgressCallback,
+    earlier: StoredResult | None = None,
+) -> Path:
+    """Write a result folder with the annotated videos: drawn anew, or those of an `earlier` one."""
     timings = dict(result.timings_s)
     with scratch_folder(folder) as scratch:
         overlays: list[Path] = []
         thumbnail = None
-        if config.output.overlay:
+        if earlier is not None:
+            overlays, thumbnail = _copy_pictures(earlier, scratch)
+        elif config.output.overlay:
             with _timed(timings, "overlay"):
                 overlays = _write_overlays(result, config, scratch, progress)
             thumbnail = write_thumbnail(
@@ -452,6 +699,14 @@ def assess_to_folder(
             thumbnail=thumbnail,
             calibration_text=format_calibration(result.calibration) if result.calibration else "",
         )
+
+
+def _copy_pictures(earlier: StoredResult, scratch: Path) -> tuple[list[Path], Path | None]:
+    """Copy the annotated videos and the still picture of a result; return where they are."""
+    videos = [p for p in (earlier.overlay_path, earlier.second_overlay_path) if p is not None]
+    overlays = [Path(shutil.copyfile(p, scratch / p.name)) for p in videos]
+    still = earlier.thumbnail_path
+    return overlays, None if still is None else Path(shutil.copyfile(still, scratch / still.name))
 
 
 def _write_overlays(

@@ -5,16 +5,16 @@ does not see whether the hands hold something, so the
 movement between two stops away from the body's side is taken for the loaded one; reaching out
 from hanging arms and returning to them are not. Where that is not certain, the lift says so. What
 could be a lift but was not seen well enough, or is faster than loads are lifted, is left
-out with a warning.
+out with a warning. A person who knows better says when a lift was, or that there was none.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
 
 from engine.datatypes import (
     Array,
@@ -26,12 +26,15 @@ from engine.datatypes import (
     Sex,
     WorldScene,
 )
+from engine.errors import ConfigError
 from engine.skeletons import Skeleton, get_skeleton
 
 __all__ = [
+    "SET_BY_USER",
     "Hands",
     "LiftFindings",
     "Move",
+    "Span",
     "compute_hands",
     "detect_lifts",
     "find_conditions",
@@ -62,6 +65,13 @@ KNEELING_SHARE = 0.12
 SEATED_SHARE = 0.36
 UNLOADED_RISE_M = 0.25
 IQR_TO_SIGMA = 1.349
+SET_SIGMA_S = 0.05
+"""Standard error of a moment that a person picked in the video: a picture or two."""
+SET_BY_USER = "set_by_user"
+"""Note of a lift whose times a person set."""
+
+Span = tuple[float, float]
+"""Start and end in the track's time, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,6 +245,9 @@ def find_moves(
         In order of time. One that is under way at the clip's first or last frame starts or ends
         there, above the threshold.
     """
+    # Loads for a second and a half; reports and pages that read stored lifts never get here.
+    from scipy.signal import find_peaks
+
     speed = np.nan_to_num(hands.speed)
     # Stillness is put before and after the clip, so that a movement cut off there is seen too.
     peaks, _ = find_peaks(np.pad(speed, 1), height=MIN_PEAK_SPEED_M_S, prominence=0.08)
@@ -471,6 +484,8 @@ def detect_lifts(
     speed_floor_m_s: float = 0.10,
     speed_share: float = 0.12,
     max_hand_separation_m: float = 0.60,
+    set_lifts: Sequence[Span] = (),
+    not_lifts: Sequence[Span] = (),
 ) -> LiftFindings:
     """Find the lifts of a clip and measure them.
 
@@ -492,6 +507,12 @@ def detect_lifts(
         See `find_moves`.
     max_hand_separation_m
         Hands further apart do not hold one load.
+    set_lifts
+        Lifts whose times a person set: measured at those times, whatever the hands do. What was
+        found and overlaps one of them gives way to it.
+    not_lifts
+        Where a person saw no lift: what was found there and shares more than half of the shorter
+        time is left out.
 
     Returns
     -------
@@ -500,41 +521,138 @@ def detect_lifts(
         that rises far enough but can't be a lift that was seen whole (hands faster than 4 m/s, not
         seen all the time, both hidden, cut off by the clip's ends, too short or too long) is named
         in the warnings instead.
+
+    Raises
+    ------
+    ConfigError
+        If a lift that a person set lies outside the clip or between two pictures.
     """
     time_s = np.asarray(track.time_s)
     if len(time_s) < 3:
         return LiftFindings((), (), ("The clip is too short to find lifts in it.",))
     rate_hz = 1.0 / float(np.median(np.diff(time_s)))
-    if rate_hz < MIN_FRAME_RATE_HZ:
-        text = (
-            f"Lifts need at least {MIN_FRAME_RATE_HZ:g} frames per second, this video has "
-            f"{rate_hz:.1f}; no lift was looked for. Film at 25 frames per second or more."
-        )
-        return LiftFindings((), (), (text,))
     hands = compute_hands(track, scene, sex=sex)
-    moves = find_moves(hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share)
-    at_rest = find_rest(track, hands, scene, stature_m=stature_m)
-    clear, warnings = [], []
-    for move in moves:
-        objection = _find_objection(
-            move, hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share
+    given = [_place(span, hands, time_s) for span in set_lifts]
+    if rate_hz < MIN_FRAME_RATE_HZ:
+        choice = _Choice([], [], [], [_describe_low_rate(rate_hz)])
+    else:
+        moves = find_moves(hands, speed_floor_m_s=speed_floor_m_s, speed_share=speed_share)
+        at_rest = find_rest(track, hands, scene, stature_m=stature_m)
+        choice = _choose(
+            moves,
+            hands,
+            at_rest,
+            time_s,
+            min_rise_m=min_rise_m,
+            duration_s=(min_duration_s, max_duration_s),
+            stop=(speed_floor_m_s, speed_share),
+            refused=(*set_lifts, *not_lifts),
         )
+    found = [m for m in choice.loaded if not _is_refused(m, time_s, given, not_lifts)]
+    doubts = choice.doubts if found else []
+    lifts = []
+    for move in sorted((*found, *given), key=lambda m: m.start):
+        own = (SET_BY_USER,) if move in given else tuple(doubts)
+        notes = (*own, *_notes(track, hands, move, scene, stature_m, max_hand_separation_m))
+        lifts.append(_measure_lift(track, angles, hands, scene, move, choice.moves, notes, rate_hz))
+    warnings = (*choice.warnings, *_explain(doubts, rate_hz))
+    if rate_hz < MIN_FRAME_RATE_HZ and not lifts:
+        return LiftFindings((), (), warnings[:1])
+    return LiftFindings(tuple(lifts), find_conditions(track, stature_m), warnings)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """All movements, those with a load, doubts about that choice, and what was left out."""
+
+    moves: list[Move]
+    loaded: list[Move]
+    doubts: list[str]
+    warnings: list[str]
+
+
+def _choose(
+    moves: list[Move],
+    hands: Hands,
+    at_rest: NDArray[np.bool_],
+    time_s: Array,
+    *,
+    min_rise_m: float,
+    duration_s: Span,
+    stop: tuple[float, float],
+    refused: Sequence[Span],
+) -> _Choice:
+    """Choose the movements that are lifts; say why others that rise as far are none.
+
+    Where a person said what is there (`refused`), there is nothing to explain.
+    """
+    clear, left_out = [], []
+    for move in moves:
+        objection = _find_objection(move, hands, speed_floor_m_s=stop[0], speed_share=stop[1])
         if objection is None:
             clear.append(move)
         elif _rise(move, hands) >= min_rise_m:
-            warnings.append(_left_out(time_s, move, objection))
+            left_out.append((move, objection))
     loaded, doubts = choose_loaded(clear, hands, at_rest, min_rise_m=min_rise_m)
-    lifts = []
-    for move in loaded:
-        duration = time_s[move.end] - time_s[move.start]
-        if not min_duration_s <= duration <= max_duration_s:
-            reason = f"a lift lasts {min_duration_s:g} to {max_duration_s:g} s"
-            warnings.append(_left_out(time_s, move, reason))
-            continue
-        notes = (*doubts, *_notes(track, hands, move, scene, stature_m, max_hand_separation_m))
-        lifts.append(_measure_lift(track, angles, hands, scene, move, moves, notes, rate_hz))
-    warnings += _explain(doubts, rate_hz)
-    return LiftFindings(tuple(lifts), find_conditions(track, stature_m), tuple(warnings))
+    low, high = duration_s
+    odd = [m for m in loaded if not low <= time_s[m.end] - time_s[m.start] <= high]
+    left_out += [(move, f"a lift lasts {low:g} to {high:g} s") for move in odd]
+    warnings = [
+        _left_out(time_s, move, reason)
+        for move, reason in left_out
+        if not any(_overlap_s(_span(move, time_s), span) > 0.0 for span in refused)
+    ]
+    return _Choice(moves, [m for m in loaded if m not in odd], doubts, warnings)
+
+
+def _place(span: Span, hands: Hands, time_s: Array) -> Move:
+    """Return the pictures nearest to the times that a person set.
+
+    Raises
+    ------
+    ConfigError
+        If they lie outside the clip, or both at one picture.
+    """
+    start_s, end_s = span
+    room = 0.5 * float(np.median(np.diff(time_s)))
+    if not time_s[0] - room <= start_s <= end_s <= time_s[-1] + room:
+        raise ConfigError(
+            f"A lift must lie within the clip, {time_s[0]:.2f} to {time_s[-1]:.2f} s, got "
+            f"{start_s:.2f} to {end_s:.2f} s; correct its times."
+        )
+    first, last = (int(np.argmin(np.abs(time_s - moment))) for moment in span)
+    if first == last:
+        raise ConfigError(
+            f"A lift must last longer than one picture, got {start_s:.2f} to {end_s:.2f} s; "
+            "correct its times."
+        )
+    speed = np.nan_to_num(hands.speed[first : last + 1])
+    return Move(first, first + int(np.argmax(speed)), last)
+
+
+def _is_refused(
+    move: Move, time_s: Array, given: Sequence[Move], not_lifts: Sequence[Span]
+) -> bool:
+    """Whether a person said otherwise of the time in which a lift was found."""
+    own = _span(move, time_s)
+    if any(_overlap_s(own, _span(other, time_s)) > 0.0 for other in given):
+        return True
+    return any(_overlap_s(own, s) > 0.5 * min(own[1] - own[0], s[1] - s[0]) for s in not_lifts)
+
+
+def _span(move: Move, time_s: Array) -> Span:
+    return float(time_s[move.start]), float(time_s[move.end])
+
+
+def _overlap_s(one: Span, two: Span) -> float:
+    return min(one[1], two[1]) - max(one[0], two[0])
+
+
+def _describe_low_rate(rate_hz: float) -> str:
+    return (
+        f"Lifts need at least {MIN_FRAME_RATE_HZ:g} frames per second, this video has "
+        f"{rate_hz:.1f}; no lift was looked for. Film at 25 frames per second or more."
+    )
 
 
 def _left_out(time_s: Array, move: Move, reason: str) -> str:
@@ -612,7 +730,7 @@ def _notes(
     if _across(ankle[-1] - ankle[0], along) > WALK_M:
         notes.append("walking")
     knees = [skeleton.point(position, f"{s}_knee")[part, 1] for s in ("left", "right")]
-    if np.nanmin(np.array(knees)) < KNEELING_SHARE * stature_m:
+    if _largest(-np.array(knees)) > -KNEELING_SHARE * stature_m:
         notes.append("kneeling")
     apart = np.array([_across(v, along) for v in hands.left[part] - hands.right[part]])
     if np.isfinite(apart).any() and np.nanmedian(apart) > max_hand_separation_m:
@@ -676,22 +794,28 @@ def _measure_lift(
         100 * np.sqrt(2) * np.nan_to_num(scene.plane_sigma_m), scene.scale_sigma * travel
     )
     part = slice(move.start, move.end + 1)
-    before = [m for m in moves if m.end <= move.start]
-    after = [m for m in moves if m.start >= move.end]
-    peak_speed = float(np.nanmax(hands.speed[part]))
+    # By their peaks too: a lift that a person set may reach into the movements around it.
+    before = [m for m in moves if m.end <= move.start or m.peak < move.start]
+    after = [m for m in moves if m.start >= move.end or m.peak > move.end]
+    start_sigma, end_sigma = (
+        SET_SIGMA_S
+        if SET_BY_USER in notes
+        else _crossing_sigma(time_s, hands.speed, crossing, move.peak, rate_hz)
+        for crossing in (move.start, move.end)
+    )
     return Lift(
         start_s=float(time_s[move.start]),
         end_s=float(time_s[move.end]),
         origin=origin,
         destination=destination,
         D_cm=Measurement(travel, float(travel_sigma)),
-        peak_hand_speed_m_s=peak_speed,
+        peak_hand_speed_m_s=_largest(hands.speed[part]),
         peak_trunk_velocity_deg_s=_peak_trunk_velocity(angles, part),
         hands=1 if "one_handed" in notes else 2,
         reach_start_s=float(time_s[before[-1].start]) if before else float("nan"),
         return_end_s=float(time_s[after[0].end]) if after else float("nan"),
-        start_sigma_s=_crossing_sigma(time_s, hands.speed, move.start, move.peak, rate_hz),
-        end_sigma_s=_crossing_sigma(time_s, hands.speed, move.end, move.peak, rate_hz),
+        start_sigma_s=start_sigma,
+        end_sigma_s=end_sigma,
         notes=tuple(notes),
     )
 
@@ -700,8 +824,12 @@ def _peak_trunk_velocity(angles: JointAngles, part: slice) -> float:
     flexion = angles["trunk_flexion"]
     if len(flexion) < 2:
         return float("nan")
-    velocity = np.abs(np.gradient(flexion, angles.time_s))[part]
-    return float(np.nanmax(velocity)) if np.isfinite(velocity).any() else float("nan")
+    return _largest(np.abs(np.gradient(flexion, angles.time_s))[part])
+
+
+def _largest(values: Array) -> float:
+    """Return the largest known value; NaN where none is known."""
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
 
 
 def _crossing_sigma(time_s: Array, speed: Array, crossing: int, peak: int, rate_hz: float) -> float:

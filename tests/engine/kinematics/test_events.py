@@ -3,6 +3,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,10 @@ from hypothesis import strategies as st
 
 from engine.correction.chain import correct_track
 from engine.datatypes import Array, JointAngles, Lift, PoseTrack, WorldScene
+from engine.errors import ConfigError
 from engine.kinematics.events import (
+    SET_BY_USER,
+    SET_SIGMA_S,
     LiftFindings,
     compute_hands,
     compute_knuckles,
@@ -54,7 +59,7 @@ class Performance:
     starts_s: tuple[float, ...]
     ends_s: tuple[float, ...]
 
-    def detect(self, **options: float) -> LiftFindings:
+    def detect(self, **options: Any) -> LiftFindings:
         return detect_lifts(self.track, self.angles, self.scene, stature_m=STATURE_M, **options)
 
 
@@ -725,6 +730,91 @@ def lose(scene: Performance, start_s: float, stop_s: float) -> Performance:
     position = np.array(scene.track.position)
     position[(scene.track.time_s > start_s) & (scene.track.time_s < stop_s)] = np.nan
     return dataclasses.replace(scene, track=dataclasses.replace(scene.track, position=position))
+
+
+class TestSetByAPerson:
+    """What a person says of when the lifts were goes before what was found."""
+
+    SCENE = perform(REACH, LIFT, RETURN)
+
+    def test_a_set_lift_is_measured_at_its_times(self):
+        start_s, end_s = self.SCENE.starts_s[1], self.SCENE.ends_s[1]
+        (lift,) = self.SCENE.detect(set_lifts=[(start_s, end_s)]).lifts
+        assert (lift.start_s, lift.end_s) == pytest.approx((start_s, end_s), abs=1 / 60)
+        assert lift.origin.V_cm.value == pytest.approx(30.0, abs=0.5)
+        assert lift.destination.V_cm.value == pytest.approx(100.0, abs=0.5)
+        assert lift.D_cm.value == pytest.approx(70.0, abs=1.0)
+        assert SET_BY_USER in lift.notes
+        assert (lift.start_sigma_s, lift.end_sigma_s) == (SET_SIGMA_S, SET_SIGMA_S)
+        (found,) = self.SCENE.detect().lifts
+        assert (lift.reach_start_s, lift.return_end_s) == (found.reach_start_s, found.return_end_s)
+        assert SET_BY_USER not in found.notes
+
+    def test_a_missed_lift_joins_the_others_in_order_of_time(self):
+        scene = perform(REACH, LIFT, RETURN, rest_s=1.5)
+        (found,) = scene.detect().lifts
+        findings = scene.detect(set_lifts=[(0.2, 0.9)])
+        assert [x.start_s for x in findings.lifts] == [pytest.approx(0.2), found.start_s]
+        assert findings.lifts[1] == found
+
+    def test_a_false_lift_is_left_out_and_nothing_is_explained(self):
+        (found,) = self.SCENE.detect().lifts
+        findings = self.SCENE.detect(not_lifts=[(found.start_s, found.end_s)])
+        assert findings.lifts == ()
+        assert findings.warnings == ()
+
+    def test_a_lift_that_touches_a_refused_time_only_a_little_stays(self):
+        (found,) = self.SCENE.detect().lifts
+        before = (found.start_s - 1.0, found.start_s + 0.1)
+        assert self.SCENE.detect(not_lifts=[before]).lifts == (found,)
+
+    def test_what_was_left_out_is_no_news_where_a_person_set_a_lift(self):
+        scene = perform(REACH, LIFT, RETURN, confidence=0.1)
+        assert scene.detect().warnings
+        start_s, end_s = scene.starts_s[1], scene.ends_s[1]
+        findings = scene.detect(set_lifts=[(start_s, end_s)])
+        assert len(findings.lifts) == 1
+        assert not any(f"from {start_s:.1f}" in text for text in findings.warnings)
+
+    def test_hands_that_were_not_seen_stay_unmeasured(self):
+        scene = lose(self.SCENE, 1.5, 3.6)
+        (lift,) = scene.detect(set_lifts=[(2.0, 3.0)]).lifts
+        assert lift.origin.H_cm.is_missing
+        assert lift.destination.V_cm.is_missing
+        assert np.isnan([lift.peak_hand_speed_m_s, lift.D_cm.value]).all()
+
+    def test_few_pictures_a_second_are_enough_to_measure_both_ends(self):
+        scene = perform(REACH, LIFT, RETURN, fps=12.0)
+        findings = scene.detect(set_lifts=[(scene.starts_s[1], scene.ends_s[1])])
+        assert findings.lifts[0].origin.V_cm.value == pytest.approx(30.0, abs=2.0)
+        assert any("at least 15 frames per second" in text for text in findings.warnings)
+
+    @pytest.mark.parametrize(
+        ("span", "words"),
+        [
+            ((1.0, 99.0), "within the clip, 0.00 to"),
+            ((-1.0, 1.0), "within the clip"),
+            ((2.0, 1.0), "within the clip"),
+            ((1.0, 1.004), "longer than one picture"),
+            ((float("nan"), 1.0), "within the clip"),
+        ],
+    )
+    def test_impossible_times_are_refused(self, span, words):
+        with pytest.raises(ConfigError, match=words):
+            self.SCENE.detect(set_lifts=[span])
+
+    @settings(max_examples=25)
+    @given(times=st.tuples(st.floats(0.0, 4.0), st.floats(0.0, 4.0)).map(sorted))
+    def test_lifts_never_overlap_and_keep_to_pictures(self, times):
+        start_s, end_s = times
+        if end_s - start_s < 1 / 30:
+            return
+        lifts = self.SCENE.detect(set_lifts=[(start_s, end_s)]).lifts
+        (own,) = [x for x in lifts if SET_BY_USER in x.notes]
+        assert abs(own.start_s - start_s) <= 1 / 60 + 1e-9
+        assert abs(own.end_s - end_s) <= 1 / 60 + 1e-9
+        for one, two in pairwise(lifts):
+            assert one.end_s <= two.start_s
 
 
 class TestNoise:
