@@ -15,6 +15,7 @@ from dashboard.labels import count, format_index, format_number
 from dashboard.manage_charts import plot_shares, plot_trend
 from dashboard.widgets import is_dark, table_html
 from engine.report import ReportOptions
+from engine.sample_results import SAMPLES_SITE, leave_out
 from engine.storage.overview import LiftCounts, Overview, PlaceOverview
 
 CHART = {"displayModeBar": False}
@@ -75,6 +76,25 @@ def choose_scope() -> Scope:
 def _midnight(day: date) -> datetime:
     """Return the start of a day where the user is."""
     return datetime(day.year, day.month, day.day).astimezone()
+
+
+def read_overview(scope: Scope) -> Overview:
+    """Return the library in numbers; samples count only where there is nothing else."""
+    found = manage_cache.overview(site=scope.site, job=scope.job, since=scope.since)
+    if scope.site is not None:
+        return found
+    samples = manage_cache.overview(site=SAMPLES_SITE, job=scope.job, since=scope.since)
+    return leave_out(found, samples)
+
+
+def say_if_samples(overview: Overview) -> None:
+    """Say so where all that is shown are the bundled samples."""
+    if {place.site for place in overview.sites} == {SAMPLES_SITE}:
+        st.info(
+            "These are the bundled samples, to show what this page does. With the first trial of "
+            "your own they count no longer; Settings, Data removes them.",
+            icon=":material/science:",
+        )
 
 
 def show_empty(*, is_library_empty: bool) -> None:

@@ -25,6 +25,7 @@ from engine.preferences import (
     UNITS,
     Preferences,
 )
+from engine.sample_results import SAMPLES_SITE, add_samples, find_samples, remove_samples
 from engine.storage.database.connection import URL_VARIABLE
 from engine.storage.library import HOME_VARIABLE
 
@@ -346,6 +347,32 @@ def _ask_import() -> None:
     extra = f" {count(known, 'trial')} was there already." if known == 1 else ""
     extra = f" {count(known, 'trial')} were there already." if known > 1 else extra
     state.finish_setting(f"{count(len(report.imported), 'trial')} imported.{extra}")
+    st.rerun()
+
+
+# --------------------------------------------------------------------------- samples
+
+
+def ask_samples() -> None:
+    """Let the user remove the bundled samples, or bring them back."""
+    st.subheader("Sample trials", anchor=False)
+    library = cache.library()
+    n_present = len(find_samples(library))
+    st.caption(
+        "Finished trials that come with LiftLens, to look around in. They are at the site "
+        f"“{SAMPLES_SITE}” and count in the overview only as long as there is nothing else."
+    )
+    if n_present:
+        label, icon, change = "Remove the samples", ":material/delete:", remove_samples
+        word = "removed"
+    else:
+        label, icon, change, word = "Add the samples", ":material/add:", add_samples, "added"
+    if not st.button(label, key="samples", icon=icon):
+        return
+    with st.spinner("A moment …"):
+        n_changed = change(library)
+    manage_cache.forget_summaries()
+    state.finish_setting(f"{count(n_changed, 'sample')} {word}.")
     st.rerun()
 
 

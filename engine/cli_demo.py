@@ -13,10 +13,12 @@ from engine.config import Config, TwoViewConfig, build_section
 from engine.datatypes import Subject, Task, Trial, View, parse_coupling
 from engine.errors import BackendUnavailable, ConfigError
 
-__all__ = ["SAMPLE_FOLDER", "Sample", "read_samples"]
+__all__ = ["SAMPLES_SITE", "SAMPLE_FOLDER", "Sample", "read_samples"]
 
 SAMPLE_FOLDER = Path(engine.__file__).parents[1] / "sample_data"
 LIST_NAME = "samples.toml"
+SAMPLES_SITE = "Samples"
+"""Where assessed samples are filed, so that nobody takes them for work at a site of theirs."""
 
 SUBJECT_KEYS = ("stature_m", "mass_kg", "sex", "age_y")
 TASK_KEYS = (
@@ -61,6 +63,8 @@ class Sample:
             subject=self.subject,
             task=self.task,
             label=self.title,
+            site=SAMPLES_SITE,
+            job=self.key.replace("_", " ").capitalize(),
         )
         cameras = "" if self.calibration is None else str(self.calibration)
         config = Config(two_view=TwoViewConfig(calibration=cameras))

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import engine
-from engine.errors import BackendUnavailable, ConfigError
+from engine.errors import BackendUnavailable, ConfigError, EngineError
 
 __all__ = ["APP_PATH", "build_command", "has_display", "serve_dashboard"]
 
@@ -36,6 +36,7 @@ def serve_dashboard(*, host: str, port: int, say: Callable[[str], object]) -> in
     if importlib.util.find_spec("streamlit") is None:
         raise BackendUnavailable("The dashboard needs streamlit; run: pip install streamlit.")
     _check_address(host, port)
+    _prepare_samples(say)
     say(f"Dashboard: http://{host}:{port} (Ctrl-C ends it)")
     process = subprocess.Popen(
         build_command(host=host, port=port, is_headless=not has_display(os.environ)),
@@ -63,6 +64,19 @@ def has_display(environment: Mapping[str, str]) -> bool:
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
+
+
+def _prepare_samples(say: Callable[[str], object]) -> None:
+    """Let an empty library start with finished samples; no trouble with them stops the start."""
+    from engine.sample_results import retire_samples, welcome
+    from engine.storage.library import Library
+
+    try:
+        library = Library.open()
+        retire_samples(library)
+        welcome(library)
+    except EngineError as error:
+        say(f"The samples can't be shown: {error}")
 
 
 def _build_environment(environment: Mapping[str, str]) -> dict[str, str]:

@@ -2,17 +2,18 @@
 
 import streamlit as st
 
-from dashboard import cache, manage_cache, manage_parts
+from dashboard import cache, manage_parts
 
 st.title("Overview", anchor=False)
 if cache.library().is_empty:
     manage_parts.show_empty(is_library_empty=True)
     st.stop()
 scope = manage_parts.choose_scope()
-overview = manage_cache.overview(site=scope.site, job=scope.job, since=scope.since)
+overview = manage_parts.read_overview(scope)
 if not overview.lifts.n_trials:
     manage_parts.show_empty(is_library_empty=False)
     st.stop()
+manage_parts.say_if_samples(overview)
 manage_parts.show_numbers(overview)
 manage_parts.show_places(overview, scope)
 manage_parts.show_trend(overview)

@@ -15,6 +15,7 @@ with data:
     settings_parts.show_place()
     settings_parts.ask_retention(chosen)
     settings_parts.ask_transfer()
+    settings_parts.ask_samples()
 with people:
     settings_parts.ask_people()
 with models:

@@ -7,6 +7,7 @@ from dashboard.manage_charts import plot_shares, plot_trend
 from dashboard.manage_parts import MOST_BARS
 from engine.datatypes import FlagLevel
 from engine.report import ReportOptions
+from engine.sample_results import SAMPLES_SITE
 from engine.storage.overview import LiftCounts, MonthOverview
 from engine.storage.results import write_result
 from tests.builders import make_flag, make_lift, make_trial, make_trial_result
@@ -68,6 +69,21 @@ def test_a_choice_that_fits_nothing_says_so(page, library):
     page.selectbox(key="site").set_value("Yard")
     page.selectbox(key="work").set_value("Packing").run()
     assert "No trial fits" in page.info[0].value
+
+
+def test_samples_count_only_as_long_as_there_is_nothing_else(page, library):
+    add(library, "sample", site=SAMPLES_SITE, job="Floor to knuckle")
+    page.run()
+    assert "bundled samples" in page.info[0].value
+    assert "100%" in html(page)
+    add(library, "own", levels=(FlagLevel.OK,))
+    manage_cache.forget_summaries()
+    page.run()
+    assert not page.info
+    assert "0%" in html(page)
+    assert "100%" not in html(page).split("95 %")[0]
+    page.selectbox(key="site").set_value(SAMPLES_SITE).run()
+    assert "100%" in html(page)
 
 
 def test_before_and_after_split_at_the_day(page, library):

@@ -8,6 +8,7 @@ from engine.datatypes import Measurement
 from engine.errors import DataError
 from engine.jobs.local import JobRequest
 from engine.preferences import PREFERENCES_NAME, Preferences
+from engine.sample_results import find_samples
 from engine.storage.library import Library
 from tests.dashboard.results import add_trial
 from tests.dashboard.test_app import html
@@ -100,6 +101,16 @@ def test_what_is_exported_can_be_imported_elsewhere(library, trial_id, tmp_path,
     assert manage_cache.import_library(io.BytesIO(archive)).already_there == (trial_id,)
     with pytest.raises(DataError):
         manage_cache.import_library(io.BytesIO(b"no zip"))
+
+
+def test_samples_come_and_go_on_a_click(page, library, trial_id):
+    page.run()
+    page.button(key="samples").click().run(timeout=60)
+    assert page.success[0].value == "4 samples added."
+    assert len(find_samples(library)) == 4
+    page.button(key="samples").click().run(timeout=60)
+    assert page.success[0].value == "4 samples removed."
+    assert [entry.id for entry in library.entries()] == [trial_id]
 
 
 def test_models_are_listed_with_their_card():
