@@ -222,6 +222,13 @@ def assess(
         str | None,
         typer.Option(help="The person in the first frame, as LEFT,TOP,RIGHT,BOTTOM in px."),
     ] = None,
+    lift: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="START,END",
+            help="When a lift was, in s: only lifts named so count; repeatable.",
+        ),
+    ] = None,
     overlay: Annotated[
         bool | None, typer.Option("--overlay/--no-overlay", help="Write the annotated video.")
     ] = None,
@@ -238,7 +245,8 @@ def assess(
     destination_control, notes; [trial] label, site, job; [run] out, quiet; and one table per
     step: [video] start_s, stop_s; [subject] box; [pose] backend, variant, threads, model;
     [two_view] calibration, sync, fusion; [correction] preset; [kinematics] solver;
-    [risk] methods; [output] overlay, blur_heads.
+    [risk] methods; [output] overlay, blur_heads. [corrections] lifts = [[2.1, 3.4]] says when the
+    lifts were, where they were not found as they happened.
     """
     from engine.cli_settings import OPTION_KEYS, build_settings
 
@@ -270,8 +278,9 @@ def _run_pipeline(settings: AssessSettings, folder: Path) -> Path:
         # It takes seconds, and Ctrl-C may interrupt it at any moment: nothing is written yet.
         from engine.pipeline import assess_to_folder
 
+        corrected = {"corrections": settings.corrections} if settings.corrections.all else {}
         with stop_on_signal(shown) as progress:
-            return assess_to_folder(settings.trial, settings.config, folder, progress)
+            return assess_to_folder(settings.trial, settings.config, folder, progress, **corrected)
 
 
 @app.command(short_help="Assess the samples and open the dashboard.")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from engine.config import Config, build_config, build_section, read_config
+from engine.corrections import CONFIG_TABLE, NO_CORRECTIONS, Corrections, Span
 from engine.datatypes import Subject, Task, Trial, View, parse_coupling
 from engine.errors import ConfigError
 
@@ -37,6 +38,7 @@ OPTION_KEYS: Mapping[str, tuple[str, str]] = {
     "start": ("video", "start_s"),
     "stop": ("video", "stop_s"),
     "box": ("subject", "box"),
+    "lift": (CONFIG_TABLE, "lifts"),
     "overlay": ("output", "overlay"),
     "blur": ("output", "blur_heads"),
     "out": ("run", "out"),
@@ -66,6 +68,13 @@ class _RunTable:
 
 
 @dataclass(frozen=True)
+class _CorrectionsTable:
+    """The table [corrections]: the lifts of the video, start and end in s, and no others."""
+
+    lifts: tuple[Span, ...] = ()
+
+
+@dataclass(frozen=True)
 class AssessSettings:
     """All that one `assess` needs."""
 
@@ -73,12 +82,14 @@ class AssessSettings:
     config: Config
     out: Path
     is_quiet: bool
+    corrections: Corrections = NO_CORRECTIONS
 
 
 OWN_TABLES: Mapping[str, type[Any]] = {
     "person": Subject,
     "task": Task,
     "trial": _TrialTable,
+    CONFIG_TABLE: _CorrectionsTable,
     "run": _RunTable,
 }
 
@@ -134,6 +145,7 @@ def build_settings(
         config=config,
         out=Path(run.out) if run.out else Path(f"liftlens_{video.stem}"),
         is_quiet=run.quiet,
+        corrections=Corrections.of_lifts(own[CONFIG_TABLE].lifts),
     )
 
 
@@ -178,17 +190,23 @@ def _as_setting(name: str, value: Any) -> Any:
     if name == "methods":
         return [part.strip() for part in str(value).split(",") if part.strip()]
     if name == "box":
-        return _parse_box(str(value))
+        return _parse_numbers("--box", str(value), BOX_FORMAT)
+    if name == "lift":
+        return [_parse_numbers("--lift", str(text), LIFT_FORMAT) for text in value]
     return str(value) if isinstance(value, Path) else value
 
 
-def _parse_box(text: str) -> list[float]:
+BOX_FORMAT = (4, "four numbers, left,top,right,bottom in px (120,80,420,700)")
+LIFT_FORMAT = (2, "two numbers, start,end in s (2.1,3.4)")
+
+
+def _parse_numbers(option: str, text: str, wanted: tuple[int, str]) -> list[float]:
+    """Return the numbers of an option of so many, separated by commas."""
+    count, description = wanted
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) != 4:
-        raise ConfigError(
-            f"--box needs four numbers, left,top,right,bottom in px (120,80,420,700), got {text!r}."
-        )
+    if len(numbers) != count:
+        raise ConfigError(f"{option} needs {description}, got {text!r}.")
     return numbers
