@@ -15,7 +15,18 @@ import numpy as np
 from engine.datatypes import Array
 from engine.errors import ConfigError, DataError
 
-__all__ = ["BODY_SEGMENTS", "H36M_17", "MEDIAPIPE_33", "SKELETONS", "Skeleton", "get_skeleton"]
+__all__ = [
+    "BODY_SEGMENTS",
+    "H36M_17",
+    "LIFTING_45",
+    "MARKER_SETS",
+    "MEDIAPIPE_33",
+    "SKELETONS",
+    "SYNTHETIC_45",
+    "MarkerSet",
+    "Skeleton",
+    "get_skeleton",
+]
 
 DERIVED_POINTS: Mapping[str, Mapping[str, float]] = {
     "pelvis": {"left_hip": 0.5, "right_hip": 0.5},
@@ -119,6 +130,46 @@ class Skeleton:
         return tuple(order)
 
 
+@dataclass(frozen=True)
+class MarkerSet(Skeleton):
+    """A set of skin markers, each on a named landmark of the body.
+
+    Parameters
+    ----------
+    landmarks
+        One per marker: `c7`, `left_asis`, `right_lateral_knee` and so on. Markers of two sets with
+        the same landmark are the same point of the body.
+    """
+
+    landmarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.landmarks) != len(self.keypoints):
+            raise DataError(
+                f"Marker set {self.name!r} needs one landmark per marker: {len(self.keypoints)} "
+                f"markers, {len(self.landmarks)} landmarks."
+            )
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Columns of every marker on the left and its partner on the right."""
+        return tuple(
+            (i, self.landmarks.index(name.replace("left_", "right_", 1)))
+            for i, name in enumerate(self.landmarks)
+            if name.startswith("left_")
+        )
+
+    @property
+    def of_landmark(self) -> Mapping[str, str]:
+        """The marker on each landmark: landmark -> marker."""
+        return dict(zip(self.landmarks, self.keypoints, strict=True))
+
+    def columns_in(self, other: MarkerSet) -> dict[int, int]:
+        """Return which markers another set has too: own column -> column there."""
+        theirs = {landmark: i for i, landmark in enumerate(other.landmarks)}
+        return {i: theirs[name] for i, name in enumerate(self.landmarks) if name in theirs}
+
+
 def _both(*names: str) -> tuple[str, ...]:
     """Return left and right of each name, alternating."""
     return tuple(f"{side}_{name}" for name in names for side in ("left", "right"))
@@ -200,7 +251,123 @@ H36M_17 = Skeleton(
 )
 """The 17 joints of Human3.6M, the common skeleton of the lifting networks."""
 
-SKELETONS: Mapping[str, Skeleton] = {s.name: s for s in (MEDIAPIPE_33, H36M_17)}
+_PAIRED_LANDMARKS: Mapping[str, tuple[str, str]] = {
+    "front_head": ("", "FHD"),
+    "back_head": ("", "BHD"),
+    "side_head": ("", ""),
+    "asis": ("ASIS", "ASI"),
+    "psis": ("PSIS", "PSI"),
+    "acromion": ("AC", "SHO"),
+    "upper_arm": ("UA", "UPA"),
+    "lateral_elbow": ("LHE", "ELL"),
+    "medial_elbow": ("MHE", "ELM"),
+    "radial_wrist": ("RS", "WRR"),
+    "ulnar_wrist": ("US", "WRU"),
+    "knuckle": ("MC3", "FIN"),
+    "trochanter": ("GT", "GTR"),
+    "lateral_knee": ("LE", "LEP"),
+    "medial_knee": ("ME", "MEP"),
+    "fibula_head": ("HF", "HFB"),
+    "tibial_tuberosity": ("TT", ""),
+    "lateral_ankle": ("LM", "LML"),
+    "medial_ankle": ("MM", "MML"),
+    "heel": ("CA", "CAL"),
+    "first_metatarsal": ("FM", "MT1"),
+    "fifth_metatarsal": ("VM", "MT5"),
+}
+"""Landmarks on both sides: the marker's name without R or L in `LIFTING_45` and `SYNTHETIC_45`."""
+
+
+def _sided(side: str, column: int, *landmarks: str) -> dict[str, str]:
+    """Return marker -> landmark of one side, in the order of `landmarks`."""
+    letter = {"right": "R", "left": "L"}[side]
+    return {letter + _PAIRED_LANDMARKS[mark][column]: f"{side}_{mark}" for mark in landmarks}
+
+
+def _marker_set(name: str, markers: Mapping[str, str]) -> MarkerSet:
+    """Build a set from marker -> landmark; joints between two of its markers are derived."""
+    of = {landmark: marker for marker, landmark in markers.items()}
+    joints = {
+        f"{side}_{joint}": {
+            of[f"{side}_{first}_{joint}"]: 0.5,
+            of[f"{side}_{second}_{joint}"]: 0.5,
+        }
+        for side in ("left", "right")
+        for joint, first, second in (
+            ("knee", "lateral", "medial"),
+            ("ankle", "lateral", "medial"),
+            ("elbow", "lateral", "medial"),
+            ("wrist", "radial", "ulnar"),
+        )
+    }
+    chains = [("notch", "xiphoid"), ("c7", "t10"), ("left_asis", "right_asis")]
+    chains += [("left_psis", "right_psis"), ("c7", "notch")]
+    for side in ("left", "right"):
+        arm = ("acromion", "lateral_elbow", "radial_wrist", "knuckle")
+        leg = (
+            "trochanter",
+            "lateral_knee",
+            "lateral_ankle",
+            "fifth_metatarsal",
+            "first_metatarsal",
+        )
+        for chain in (
+            ("c7", *(f"{side}_{part}" for part in arm)),
+            tuple(f"{side}_{part}" for part in ("asis", *leg, "heel")),
+        ):
+            chains += pairwise(chain)
+        chains += [(f"{side}_asis", f"{side}_psis"), ("t10", f"{side}_psis")]
+    return MarkerSet(
+        name=name,
+        keypoints=tuple(markers),
+        edges=tuple((of[a], of[b]) for a, b in chains),
+        derived=joints,
+        landmarks=tuple(markers.values()),
+    )
+
+
+_ARM = ("upper_arm", "lateral_elbow", "medial_elbow", "radial_wrist", "ulnar_wrist", "knuckle")
+_THIGH = ("trochanter", "lateral_knee", "medial_knee")
+_FOOT = ("lateral_ankle", "medial_ankle", "heel", "first_metatarsal", "fifth_metatarsal")
+_TRUNK = {"C7": "c7", "T10": "t10"}
+
+LIFTING_45 = _marker_set(
+    "lifting_45",
+    {
+        "HFRONT": "forehead",
+        "HRSIDE": "right_side_head",
+        "HLSIDE": "left_side_head",
+        **_TRUNK,
+        "IJ": "notch",
+        "PX": "xiphoid",
+        **_sided("right", 0, "acromion", *_ARM, "asis", "psis", *_THIGH),
+        **_sided("right", 0, "fibula_head", "tibial_tuberosity", *_FOOT),
+        **_sided("left", 0, "acromion", *_ARM, "asis", "psis", *_THIGH),
+        **_sided("left", 0, "fibula_head", "tibial_tuberosity", *_FOOT),
+    },
+)
+"""The 45 anatomical landmarks of the two-view lifting method, after Cappozzo et al. (1995)."""
+
+SYNTHETIC_45 = _marker_set(
+    "synthetic_45",
+    {
+        "HTOP": "vertex",
+        **_sided("right", 1, "front_head", "back_head"),
+        **_sided("left", 1, "front_head", "back_head"),
+        **_TRUNK,
+        "CLAV": "notch",
+        "STRN": "xiphoid",
+        **_sided("right", 1, "asis", "psis", "acromion", *_ARM, *_THIGH, "fibula_head", *_FOOT),
+        **_sided("left", 1, "asis", "psis", "acromion", *_ARM, *_THIGH, "fibula_head", *_FOOT),
+    },
+)
+"""The 45 markers of the synthetic lifts, in the order of their files."""
+
+MARKER_SETS: Mapping[str, MarkerSet] = {s.name: s for s in (LIFTING_45, SYNTHETIC_45)}
+
+SKELETONS: Mapping[str, Skeleton] = {
+    s.name: s for s in (MEDIAPIPE_33, H36M_17, *MARKER_SETS.values())
+}
 
 
 def get_skeleton(name: str) -> Skeleton:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from engine.skeletons import SKELETONS
+from engine.skeletons import SKELETONS, MarkerSet
 
 __all__ = ["LABEL_SETS", "LANDMARKS", "LabelMatch", "LabelSet", "match_labels", "strip_prefixes"]
 
@@ -124,6 +124,7 @@ _LIFTLENS_45 = LabelSet(
             "{S}ASIS": "asis",
             "{S}PSIS": "psis",
             "{S}AC": "acromion",
+            "{S}UA": "upper_arm",
             "{S}LHE": "lateral_elbow",
             "{S}MHE": "medial_elbow",
             "{S}RS": "radial_wrist",
@@ -140,7 +141,15 @@ _LIFTLENS_45 = LabelSet(
             "{S}FM": "first_metatarsal",
             "{S}VM": "fifth_metatarsal",
         },
-        middle={"HFRONT": "front_head", "C7": "c7", "T10": "t10", "IJ": "notch", "PX": "xiphoid"},
+        middle={
+            "HFRONT": "forehead",
+            "HRSIDE": "right_side_head",
+            "HLSIDE": "left_side_head",
+            "C7": "c7",
+            "T10": "t10",
+            "IJ": "notch",
+            "PX": "xiphoid",
+        },
     ),
 )
 _SYNTHETIC_45 = LabelSet(
@@ -151,6 +160,7 @@ _SYNTHETIC_45 = LabelSet(
             "{S}ASI": "asis",
             "{S}PSI": "psis",
             "{S}SHO": "acromion",
+            "{S}UPA": "upper_arm",
             "{S}ELL": "lateral_elbow",
             "{S}ELM": "medial_elbow",
             "{S}WRR": "radial_wrist",
@@ -302,7 +312,12 @@ _JOINTS = LabelSet(
 _KEYPOINTS = LabelSet(
     "liftlens",
     "LiftLens keypoints",
-    {k: k for skeleton in SKELETONS.values() for k in skeleton.keypoints},
+    {
+        keypoint: keypoint
+        for skeleton in SKELETONS.values()
+        if not isinstance(skeleton, MarkerSet)
+        for keypoint in skeleton.keypoints
+    },
 )
 
 LABEL_SETS: tuple[LabelSet, ...] = (
