@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array, Lift, Measurement, PoseTrack, Provenance, Subject
 from engine.ergonomics.base import Exposure
+from engine.ergonomics.low_pass import filter_zero_lag
 from engine.ergonomics.segments import UpperBodyShares, share_above_l5s1
 from engine.ergonomics.spine import (
     EXTENSOR_LEVER_M,
@@ -227,12 +228,7 @@ MIN_STRETCH = 16
 
 def _accelerate(values: Array, time_s: Array, rate_hz: float, cutoff_hz: float) -> Array:
     """Return the second derivative of filtered columns, shape (T, N), without gaps."""
-    from scipy.signal import butter, sosfiltfilt
-
-    # Each pass of a second-order filter is 3 dB down where both together shall be.
-    corrected = cutoff_hz / (2**0.5 - 1) ** 0.25
-    sections = butter(2, min(corrected, 0.45 * rate_hz), fs=rate_hz, output="sos")
-    smooth = sosfiltfilt(sections, values, axis=0)
+    smooth = filter_zero_lag(values, rate_hz=rate_hz, cutoff_hz=cutoff_hz)
     speed = np.gradient(smooth, time_s, axis=0, edge_order=2)
     return np.asarray(np.gradient(speed, time_s, axis=0, edge_order=2))
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 
 import pytest
 from pypdf import PdfReader
@@ -123,3 +125,16 @@ def test_an_empty_file_may_be_replaced(tmp_path):
     out = tmp_path / "r.pdf"
     out.touch()
     assert check_report_target(out) == out
+
+
+def test_the_page_of_a_trial_does_without_what_takes_longer_to_load_than_to_draw(folders, tmp_path):
+    request = f"ReportRequest((Path({str(folders[0])!r}),), Path({str(tmp_path / 'a.pdf')!r}))"
+    code = (
+        "import sys; from pathlib import Path; "
+        "from engine.cli_report import ReportRequest, run_report; "
+        f"run_report({request}, say=print); "
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'scipy', 'pandas', 'matplotlib', "
+        "'sqlalchemy', 'streamlit', 'onnxruntime'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
