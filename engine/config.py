@@ -115,8 +115,11 @@ class PoseConfig:
 
     `variant` is `heavy` (default, for measurement) or `full` (faster, less exact);
     `threads` the number of inference threads, 0 = one per core; `model` the file of keypoints that
-    the estimator `stored` reads. `ik` is how the estimator `hybrik` turns joints into rotations:
-    `adaptive` aims every bone from where the bones before it ended, `naive` along the joints seen.
+    the estimator `stored` reads, or the network that `mhformer`, `d3dp` and `hybrik` run instead of
+    their own. `ik` is how the estimator `hybrik` turns joints into rotations: `adaptive` aims every
+    bone from where the bones before it ended, `naive` along the joints seen. `d3dp` draws
+    `hypotheses` postures in `steps` steps each, from the noise of `seed`, and joins them by
+    `aggregation`: `jpma` (joint by joint the one nearest to the picture) or `mean`.
     """
 
     backend: str = "mediapipe"
@@ -125,10 +128,16 @@ class PoseConfig:
     min_person_confidence: float = 0.5
     model: str = ""
     ik: Literal["adaptive", "naive"] = "adaptive"
+    hypotheses: int = 5
+    steps: int = 3
+    seed: int = 0
+    aggregation: Literal["jpma", "mean"] = "jpma"
 
     def __post_init__(self) -> None:
         _require_between(0, 256, threads=self.threads)
         _require_between(0.0, 1.0, min_person_confidence=self.min_person_confidence)
+        _require_between(1, 100, hypotheses=self.hypotheses, steps=self.steps)
+        _require_between(0, 2**32 - 1, seed=self.seed)
 
 
 @dataclass(frozen=True)

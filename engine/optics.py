@@ -17,6 +17,7 @@ __all__ = [
     "camera_centre",
     "compute_directions",
     "normalise_points",
+    "place_on_rays",
     "project",
     "projection_jacobian",
     "to_camera_axes",
@@ -165,3 +166,43 @@ def _solve_2x2(matrix: Array, right: Array) -> Array:
         inverse = 1.0 / _determinant(matrix)
     x, y = right[..., 0], right[..., 1]
     return np.stack([(d * x - b * y) * inverse, (a * y - c * x) * inverse], axis=-1)
+
+
+def place_on_rays(points: ArrayLike, rays: ArrayLike, weight: ArrayLike) -> Array:
+    """Find where in front of a camera a body looks most like what was seen of it.
+
+    Weighted linear least squares of ``points + place`` lying on the lines of sight.
+
+    Parameters
+    ----------
+    points
+        Shape (..., K, 3), camera axes; NaN where not known.
+    rays
+        Shape (..., K, 3), lines of sight with unit depth; NaN where not seen.
+    weight
+        Shape (..., K), at least 0.
+
+    Returns
+    -------
+    Array
+        Shape (..., 3), in the unit of the points; NaN where fewer than three points are known, or
+        where they don't fit into the picture before the camera.
+    """
+    body, seen = np.asarray(points, dtype=np.float64), np.asarray(rays, dtype=np.float64)
+    known = np.isfinite(body).all(axis=-1) & np.isfinite(seen).all(axis=-1)
+    use = np.where(known, np.asarray(weight, dtype=np.float64), 0.0)
+    known = use > 0
+    body, seen = (np.where(known[..., None], values, 0.0) for values in (body, seen))
+    x, y = seen[..., 0], seen[..., 1]
+    off_x, off_y = x * body[..., 2] - body[..., 0], y * body[..., 2] - body[..., 1]
+    one, sx, sy = use.sum(axis=-1), (use * x).sum(axis=-1), (use * y).sum(axis=-1)
+    total = (use * (x**2 + y**2)).sum(axis=-1)
+    right_x, right_y = (use * off_x).sum(axis=-1), (use * off_y).sum(axis=-1)
+    right_z = -(use * (x * off_x + y * off_y)).sum(axis=-1)
+    # The normal equations, with the two places across eliminated.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = (right_z * one + sx * right_x + sy * right_y) / (total * one - sx**2 - sy**2)
+        place = np.stack([(right_x + sx * away) / one, (right_y + sy * away) / one, away], axis=-1)
+    depth = np.where(known, body[..., 2], np.inf).min(axis=-1) + away
+    fits = (known.sum(axis=-1) >= 3) & (depth > 0)
+    return np.where(fits[..., None], place, np.nan)

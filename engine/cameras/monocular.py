@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from engine.cameras.body_sight import see_body_again
 from engine.cameras.depth import BONES, JOINTS, DepthProblem, bone_rows, solve_depths
 from engine.datatypes import (
     Array,
@@ -113,7 +114,9 @@ def reconstruct_single_view(
     """Place the keypoints of one view in the world.
 
     The picture decides what is seen across the line of sight; the estimator's body
-    landmarks decide only how far each joint lies behind or before the feet.
+    landmarks decide only how far each joint lies behind or before the feet. Where the estimator
+    states how well it knows a joint around the hips (a standard error in the body track), the
+    body decides across the line of sight as well; see `see_body_again`.
 
     Parameters
     ----------
@@ -152,6 +155,7 @@ def reconstruct_single_view(
         matrix = assumed_camera_matrix(pose.info.size_px, horizontal_fov_deg=horizontal_fov_deg)
     rays = compute_rays(np.asarray(pose.image.position), matrix)
     body = align_with_line_of_sight(np.asarray(pose.body.position), rays, skeleton)
+    rays = see_body_again(body, pose.body.sigma, rays, pose.image.confidence)
     upright = find_upright_frames(body, rays, skeleton)
     ground = estimate_ground(
         body,

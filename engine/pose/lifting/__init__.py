@@ -1,0 +1,1 @@
+"""Lifting: joints in a picture become joints in metres, by networks that see only the joints."""

@@ -1,0 +1,1 @@
+"""How the shipped weights were trained; never imported at run time (extra `train`)."""
