@@ -2,6 +2,7 @@
 
 from engine.kinematics.markers.fit import MarkerFit, fit_markers, table3_angles
 from engine.kinematics.markers.keypoints import keypoints_from_markers
+from engine.kinematics.markers.mot import write_coordinates_mot
 from engine.kinematics.markers.model import MarkerModel, build_marker_model, scale_to_person
 from engine.kinematics.markers.recording import (
     MarkerRecording,
@@ -22,5 +23,6 @@ __all__ = [
     "resample_markers",
     "scale_to_person",
     "table3_angles",
+    "write_coordinates_mot",
     "write_marker_trc",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -12,9 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from engine.datatypes import Array, JointAngles, frozen_array
 from engine.errors import ConfigError, DataError, ShapeError
 from engine.kinematics import angles as geometry
+from engine.kinematics.markers._opensim import require_opensim, run_opensim
+from engine.kinematics.markers.inverse import Solution
 from engine.kinematics.markers.keypoints import find_marker_set, keypoints_from_markers
 from engine.kinematics.markers.model import MarkerModel, build_marker_model, scale_to_person
-from engine.skeletons import get_skeleton
+from engine.kinematics.markers.recording import MarkerRecording
+from engine.skeletons import BODY_SEGMENTS, get_skeleton
 
 __all__ = ["TABLE3_ROWS", "MarkerFit", "fit_markers", "table3_angles"]
 
@@ -22,11 +25,14 @@ STANDING_WINDOW_S = 0.5
 """Frames around the moment of standing that are averaged for scaling."""
 STANDING_SEARCH_S = 1.5
 """Trials start standing; the most upright moment of this long a start is taken as static."""
-UPRIGHT_SHARE = 0.97
+MAX_LEAN_DEG, MAX_KNEE_DEG = 25.0, 30.0
+"""More than this is no standing: the line from PSIS to C7 leans 5 to 10 degrees in most people, and
+the trochanter lies beside the hip, so that a straight knee shows some 5 degrees."""
 MIN_MARKERS_IN_FRAME = 12
 UNSEEN_DEG = 30.0
 """An angle whose standard error for errors of 1 cm in every marker is above this is not shown."""
 TEST_ERROR_M = 0.01
+LARGE_RESIDUAL_M = 0.04
 
 TABLE3_ROWS: Mapping[str, tuple[str, int]] = {
     "hip flexion": ("hip_flexion_*", 1),
@@ -107,6 +113,16 @@ class MarkerFit:
         for name in ("time_s", "coordinates", "sigma", "markers_m", "residual_m"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
+    @property
+    def segment_lengths_m(self) -> dict[str, float]:
+        """Thigh, shank, upper arm, forearm of either side, widths of pelvis and shoulders, m."""
+        joints = self.model.joint_centres(self.model.start[None])
+        lengths = {}
+        for segment, first, second in BODY_SEGMENTS:
+            if first in joints and second in joints:
+                lengths[segment] = float(np.linalg.norm(joints[first] - joints[second]))
+        return lengths
+
     def __getitem__(self, name: str) -> Array:
         """Return one coordinate over time, shape (T,), degrees or metres."""
         if name not in self.coordinate_names:
@@ -172,11 +188,22 @@ def fit_markers(
     if ik not in ("builtin", "opensim"):
         raise ConfigError(f"ik must be 'builtin' or 'opensim', got {ik!r}.")
     if ik == "opensim":
-        raise ConfigError("ik='opensim' is being added.")
+        require_opensim()
+    static = None
     if model is None:
         static = average_static(times, position, names, static_frames)
         unscaled = build_marker_model(find_marker_set(names).name, weights=weights)
         model = scale_to_person(unscaled, static, names)
+    if ik == "opensim":
+        return _fit_opensim(
+            times,
+            position,
+            tuple(names),
+            model,
+            static=static,
+            stature_m=stature_m,
+            mass_kg=mass_kg,
+        )
     return _fit_builtin(times, position, tuple(names), model)
 
 
@@ -205,32 +232,66 @@ def average_static(
 
 
 def find_standing(time_s: Array, position_m: Array, names: Sequence[str]) -> slice:
-    """Return the frames around the most upright moment at the start of a trial.
+    """Return the frames around the most upright moment, at the start of the trial if possible.
 
     Raises
     ------
     DataError
-        If the trunk is nowhere seen, or is much higher later in the trial.
+        If trunk or legs are never seen, or nobody stands upright with straight legs.
     """
+    lean, bend, height = _posture(position_m, names)
+    stands = (lean < MAX_LEAN_DEG) & (bend < MAX_KNEE_DEG) & np.isfinite(height)
+    if not stands.any():
+        raise DataError(
+            "Nobody stands upright with straight legs in this trial, which sizes the model; name "
+            "the static frames, or use a model scaled on another trial of the person."
+        )
+    early = stands & (time_s <= time_s[0] + STANDING_SEARCH_S)
+    chosen = np.flatnonzero(early if early.any() else stands)
+    best = chosen[int(np.argmax(height[chosen]))]
+    near = np.flatnonzero(stands & (np.abs(time_s - time_s[best]) <= STANDING_WINDOW_S / 2))
+    # Only the unbroken stretch around the best frame: no moment before or after bending.
+    breaks = np.flatnonzero(np.diff(near) > 1)
+    at = int(np.searchsorted(near, best))
+    first = max((int(i) + 1 for i in breaks if i < at), default=0)
+    last = min((int(i) for i in breaks if i >= at), default=near.size - 1)
+    return slice(int(near[first]), int(near[last]) + 1)
+
+
+def _posture(position_m: Array, names: Sequence[str]) -> tuple[Array, Array, Array]:
+    """Return lean of the trunk and larger knee bend, degrees, and height of C7, m; (T,) each."""
     of = find_marker_set(names).of_landmark
-    columns = [list(names).index(of[k]) for k in ("c7", "notch") if of.get(k) in names]
-    height = position_m[:, columns, 1].mean(axis=1) if columns else np.full(time_s.size, np.nan)
-    early = np.flatnonzero((time_s <= time_s[0] + STANDING_SEARCH_S) & np.isfinite(height))
-    if not early.size:
-        raise DataError(
-            "The trunk's markers (C7, sternal notch) are not seen at the start of the trial; name "
-            "the static frames."
+    column = {name: i for i, name in enumerate(names)}
+    missing = np.full((len(position_m), 3), np.nan)
+
+    def middle(*landmarks: str) -> Array:
+        parts = [
+            position_m[:, column[of[k]]] if of.get(k) in column else missing for k in landmarks
+        ]
+        return np.asarray(sum(parts) / len(parts))
+
+    top = middle("c7")
+    trunk = top - middle("left_psis", "right_psis")
+    lean = np.degrees(np.arctan2(np.linalg.norm(trunk[:, [0, 2]], axis=1), trunk[:, 1]))
+    bends = [
+        geometry.compute_hinge_flexion(
+            middle(f"{side}_trochanter"),
+            middle(f"{side}_lateral_knee", f"{side}_medial_knee"),
+            middle(f"{side}_lateral_ankle", f"{side}_medial_ankle"),
         )
-    best = early[int(np.argmax(height[early]))]
-    if height[best] < UPRIGHT_SHARE * np.nanmax(height):
+        for side in ("left", "right")
+    ]
+    return lean, np.fmax(*bends), top[:, 1]
+
+
+def _frames_to_fit(measured: Array) -> NDArray[np.bool_]:
+    """Return which frames (T,) have enough markers of (T, M, 3)."""
+    enough = np.isfinite(measured).all(axis=2).sum(axis=1) >= MIN_MARKERS_IN_FRAME
+    if not enough.any():
         raise DataError(
-            f"Nobody stands in the first {STANDING_SEARCH_S:g} s (the trunk is "
-            f"{height[best]:.2f} m high there, {np.nanmax(height):.2f} m later); name the static "
-            "frames, or use a model scaled on another trial."
+            f"No frame has {MIN_MARKERS_IN_FRAME} of the model's markers; there is nothing to fit."
         )
-    near = np.flatnonzero(np.abs(time_s - time_s[best]) <= STANDING_WINDOW_S / 2)
-    near = near[near <= early[-1]]
-    return slice(int(near[0]), int(near[-1]) + 1)
+    return np.asarray(enough)
 
 
 def _fit_builtin(
@@ -238,42 +299,98 @@ def _fit_builtin(
 ) -> MarkerFit:
     problem, used = model.problem(names)
     measured = position[:, used]
-    is_seen = np.isfinite(measured).all(axis=2)
-    fitted = is_seen.sum(axis=1) >= MIN_MARKERS_IN_FRAME
-    if not fitted.any():
-        raise DataError(
-            f"No frame has {MIN_MARKERS_IN_FRAME} of the model's markers; there is nothing to fit."
-        )
+    fitted = _frames_to_fit(measured)
     rate = float(1.0 / np.median(np.diff(time_s[fitted]))) if fitted.sum() > 1 else 1.0
     solution = problem.solve(measured[fitted], model.start, rate_hz=rate)
-    shape = (time_s.size, len(model.tree.coordinate_names))
+    return _describe(time_s, position, names, model, solution, fitted, solver="builtin")
+
+
+def _fit_opensim(
+    time_s: Array,
+    position: Array,
+    names: tuple[str, ...],
+    model: MarkerModel,
+    *,
+    static: Array | None,
+    stature_m: float | None,
+    mass_kg: float | None,
+) -> MarkerFit:
+    """Fit with OpenSim; with `static`, its `ScaleTool` makes the model anew."""
+    rate = float(1.0 / np.median(np.diff(time_s))) if time_s.size > 1 else 100.0
+    recording = MarkerRecording(time_s, position, names, rate)
+    start = model
+    if static is not None:
+        unscaled = build_marker_model(model.marker_set, weights=model.weights)
+        start = replace(unscaled, static_coordinates=model.static_coordinates)
+    run = run_opensim(recording, start, static_m=static, stature_m=stature_m, mass_kg=mass_kg)
+    problem, used = run.model.problem(names)
+    fitted = _frames_to_fit(position[:, used]) & np.isfinite(run.coordinates).all(axis=1)
+    solution = problem.evaluate(position[fitted][:, used], run.coordinates[fitted])
+    return _describe(time_s, position, names, run.model, solution, fitted, solver="opensim")
+
+
+def _describe(
+    time_s: Array,
+    position: Array,
+    names: tuple[str, ...],
+    model: MarkerModel,
+    solution: Solution,
+    fitted: NDArray[np.bool_],
+    *,
+    solver: str,
+) -> MarkerFit:
+    """Turn the solution of the `fitted` frames (T,) into a fit of all of them."""
+    problem, used = model.problem(names)
+    is_length = model.tree.is_translation
+    shape = (time_s.size, is_length.size)
     coordinates, variance = np.full(shape, np.nan), np.full(shape, np.nan)
     coordinates[fitted] = _unwrap(solution.coordinates, problem.free, model)
     variance[fitted] = solution.variance
-    is_unseen = TEST_ERROR_M * np.sqrt(variance) > np.radians(UNSEEN_DEG)
+    is_unseen = ~is_length & (TEST_ERROR_M * np.sqrt(variance) > np.radians(UNSEEN_DEG))
     coordinates[is_unseen] = np.nan
-    markers = np.full((*position.shape[:2], 3), np.nan)
+    markers = np.full(position.shape, np.nan)
     markers[np.ix_(fitted, used)] = solution.markers
-    return describe_fit(
-        time_s,
-        coordinates,
-        names=names,
+    error = _marker_error(problem.weights, position[fitted][:, used], solution.markers)
+    factor = np.where(is_length, 1.0, np.degrees(1.0))
+    value, sigma = coordinates * factor, np.sqrt(variance) * error * factor
+    sigma[is_unseen] = np.nan
+    residual = np.linalg.norm(markers - position, axis=2)
+    return MarkerFit(
+        time_s=time_s,
+        coordinates=value,
+        coordinate_names=model.tree.coordinate_names,
+        unit=tuple("m" if t else "deg" for t in is_length),
+        sigma=sigma,
+        scale=dict(model.scale),
+        marker_names=names,
+        markers_m=markers,
+        residual_m=residual,
+        angles=_name_angles(time_s, value, sigma, model, markers, names),
         model=model,
-        markers=markers,
-        position=position,
-        sigma=np.sqrt(variance)
-        * _marker_error(problem.weights, measured, solution.markers, fitted),
-        solver="builtin",
+        solver=solver,
+        static_rms_m=model.static_rms_m,
+        warnings=_warnings(residual, time_s.size - int(fitted.sum())),
     )
 
 
-def _marker_error(
-    weights: Array, measured: Array, placed: Array, fitted: NDArray[np.bool_]
-) -> float:
+def _warnings(residual: Array, n_left_out: int) -> tuple[str, ...]:
+    found = []
+    rms = float(np.sqrt(np.nanmean(residual**2)))
+    if rms > LARGE_RESIDUAL_M:
+        found.append(
+            f"The markers miss the model by {100 * rms:.1f} cm (root mean square); 1 to 3 cm are "
+            "usual. Check the names of the markers."
+        )
+    if n_left_out:
+        found.append(f"{n_left_out} frames have too few markers for a pose and stay empty.")
+    return tuple(found)
+
+
+def _marker_error(weights: Array, measured: Array, placed: Array) -> float:
     """Return the standard error per axis of a marker of weight 1, from how far all of them miss."""
-    missed = measured[fitted] - placed
+    missed = measured - placed
     seen = np.isfinite(missed).all(axis=2)
-    squares = np.where(seen, (weights * (np.nan_to_num(missed) ** 2).sum(axis=2)), 0.0)
+    squares = np.where(seen, weights * (np.nan_to_num(missed) ** 2).sum(axis=2), 0.0)
     return float(np.sqrt(squares.sum() / (3.0 * max(1, int(seen.sum())))))
 
 
@@ -286,47 +403,6 @@ def _unwrap(coordinates: Array, free: NDArray[np.intp], model: MarkerModel) -> A
         curve = np.unwrap(coordinates[:, column])
         turned[:, column] = curve - 2 * np.pi * np.round(np.median(curve) / (2 * np.pi))
     return turned
-
-
-def describe_fit(
-    time_s: Array,
-    coordinates: Array,
-    *,
-    names: tuple[str, ...],
-    model: MarkerModel,
-    markers: Array,
-    position: Array,
-    sigma: Array,
-    solver: str,
-    warnings: tuple[str, ...] = (),
-) -> MarkerFit:
-    """Turn coordinates in radians and metres into a `MarkerFit`.
-
-    `coordinates` and `sigma` (T, Q), `markers` and `position` (T, M, 3).
-    """
-    factor = np.where(model.tree.is_translation, 1.0, np.degrees(1.0))
-    value, error = coordinates * factor, sigma * factor
-    residual = np.linalg.norm(markers - position, axis=2)
-    rms = float(np.sqrt(np.nanmean(residual**2)))
-    if rms > 0.04:
-        missed = f"The markers miss the model by {100 * rms:.1f} cm (root mean square)"
-        warnings += (f"{missed}; 1 to 3 cm are usual. Check the names of the markers.",)
-    return MarkerFit(
-        time_s=time_s,
-        coordinates=value,
-        coordinate_names=model.tree.coordinate_names,
-        unit=tuple("m" if t else "deg" for t in model.tree.is_translation),
-        sigma=error,
-        scale=dict(model.scale),
-        marker_names=names,
-        markers_m=markers,
-        residual_m=residual,
-        angles=_name_angles(time_s, value, error, model, markers, names),
-        model=model,
-        solver=solver,
-        static_rms_m=model.static_rms_m,
-        warnings=warnings,
-    )
 
 
 # --------------------------------------------------------------------------- angles

@@ -183,6 +183,8 @@ class MarkerModel:
         Shape (Q,): the pose of the static frames, rad and m; the default pose before scaling.
     static_rms_m
         Distance of the model's markers from the static ones before they moved there.
+    source
+        The model file.
     """
 
     model: OsimModel
@@ -191,6 +193,7 @@ class MarkerModel:
     scale: Mapping[str, float] = field(default_factory=dict)
     static_coordinates: Array | None = None
     static_rms_m: float = float("nan")
+    source: Path = DEFAULT_MODEL
 
     @cached_property
     def tree(self) -> KinematicTree:
@@ -229,7 +232,7 @@ class MarkerModel:
         """
         poses = self.tree.pose(coordinates)
         return {
-            f"{side}_{joint}": poses.origin[self.tree.body_column[f"{body}_{side[0]}"]]
+            f"{side}_{joint}": poses.origin[self.tree.body_column[f"{body}_{side[0]}"]].T
             for side in ("left", "right")
             for joint, body in _ORIGIN_BODIES.items()
             if f"{body}_{side[0]}" in self.tree.body_column
@@ -318,6 +321,7 @@ def build_marker_model(
         model=replace(base, markers=tuple(markers)),
         marker_set=marker_set,
         weights={**default_weights(chosen), **(weights or {})},
+        source=DEFAULT_MODEL if model is None else Path(model).resolve(),
     )
 
 
@@ -394,7 +398,7 @@ def _markers_of(model: MarkerModel, solution: Solution) -> Array:
     """Return all markers of a model in the pose of a solution, shape (M, 3)."""
     poses = model.tree.pose(solution.coordinates)
     body = np.array([model.tree.body_column[m.body] for m in model.model.markers])
-    return np.asarray(poses.place(body, np.array([m.local for m in model.model.markers]))[0])
+    return poses.place(body, np.array([m.local for m in model.model.markers]))[..., 0].T
 
 
 def _compare(
@@ -438,7 +442,7 @@ def _move_markers(model: OsimModel, coordinates: Array, measured: Mapping[str, A
         seen = measured.get(marker.name)
         if seen is not None and np.isfinite(seen).all():
             body = tree.body_column[marker.body]
-            local = poses.rotation[body, 0].T @ (seen - poses.origin[body, 0])
+            local = poses.rotation[body, ..., 0].T @ (seen - poses.origin[body, :, 0])
             markers.append(replace(marker, local=local))
         else:
             markers.append(marker)

@@ -28,9 +28,9 @@ __all__ = ["BodyPoses", "KinematicTree", "scale_model"]
 
 @dataclass(frozen=True, eq=False)
 class BodyPoses:
-    """Every body in every frame.
+    """Every body in every frame; frames come last, which keeps each step on unbroken memory.
 
-    `rotation` (B, T, 3, 3) and `origin` (B, T, 3) in the world; `motion` (Q, T, 6) the spatial
+    `rotation` (B, 3, 3, T) and `origin` (B, 3, T) in the world; `motion` (Q, 6, T) the spatial
     velocity of what hangs on a coordinate per unit of it.
     """
 
@@ -39,12 +39,21 @@ class BodyPoses:
     motion: Array
 
     def place(self, body: NDArray[np.intp], local: Array) -> Array:
-        """Return points fixed in bodies in the world, shape (T, M, 3).
+        """Return points fixed in bodies in the world, shape (3, M, T).
 
         `body` (M,) are columns of bodies, `local` (M, 3) the points in them.
         """
-        turned = np.einsum("mtij,mj->tmi", self.rotation[body], local)
-        return np.asarray(turned + self.origin[body].transpose(1, 0, 2))
+        points = np.empty((3, body.size, self.origin.shape[2]))
+        for one in np.unique(body):
+            on_it = np.flatnonzero(body == one)
+            points[:, on_it] = local[on_it] @ self.rotation[one] + self.origin[one][:, None]
+        return points
+
+    def take(self, frames: NDArray[np.bool_]) -> BodyPoses:
+        """Return some frames."""
+        return BodyPoses(
+            self.rotation[..., frames], self.origin[..., frames], self.motion[..., frames]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,72 +123,93 @@ class KinematicTree:
         """Shape (Q,), radians and metres."""
         return np.array([c.default for c in self.model.coordinates])
 
-    def pose(self, coordinates: Array) -> BodyPoses:
+    def pose(self, coordinates: Array, *, bodies: NDArray[np.intp] | None = None) -> BodyPoses:
         """Place every body.
 
         Parameters
         ----------
         coordinates
             Shape (T, Q), radians and metres.
+        bodies
+            Those needed; others that none of them hangs on are left at zero. All by default.
         """
         n_frames, n_bodies = len(coordinates), len(self.parents)
-        rotation = np.empty((n_bodies, n_frames, 3, 3))
-        origin = np.empty((n_bodies, n_frames, 3))
-        motion = np.zeros((len(self.coordinate_names), n_frames, 6))
-        for body, (joint, parent) in enumerate(zip(self.model.joints, self.parents, strict=True)):
-            above = (
-                (np.broadcast_to(np.eye(3), (n_frames, 3, 3)), np.zeros((n_frames, 3)))
-                if parent < 0
-                else (rotation[parent], origin[parent])
+        rotation = np.zeros((n_bodies, 3, 3, n_frames))
+        origin = np.zeros((n_bodies, 3, n_frames))
+        motion = np.zeros((len(self.coordinate_names), 6, n_frames))
+        leading = np.arange(n_bodies) if bodies is None else bodies
+        wanted = np.flatnonzero(self.is_below[:, leading].any(axis=1)).tolist()
+        ground = np.broadcast_to(np.eye(3)[..., None], (3, 3, n_frames)), np.zeros((3, n_frames))
+        curves = np.ascontiguousarray(coordinates.T)
+        for body in wanted:
+            parent = self.parents[body]
+            above = ground if parent < 0 else (rotation[parent], origin[parent])
+            rotation[body], origin[body] = self._move(
+                self.model.joints[body], curves, above, motion
             )
-            rotation[body], origin[body] = self._move(joint, coordinates, above, motion)
         return BodyPoses(rotation, origin, motion)
 
     def _move(
-        self, joint: Joint, coordinates: Array, above: tuple[Array, Array], motion: Array
+        self, joint: Joint, curves: Array, above: tuple[Array, Array], motion: Array
     ) -> tuple[Array, Array]:
-        """Return rotation (T, 3, 3) and origin (T, 3) of a joint's child; adds to `motion`."""
-        turn = above[0] @ joint.parent_rotation
-        centre = above[1] + above[0] @ joint.parent_translation
+        """Return rotation (3, 3, T) and origin (3, T) of a joint's child; adds to `motion`."""
+        turn = _turned(above[0], joint.parent_rotation)
+        centre = above[1] + joint.parent_translation @ above[0]
         frame = turn
         for axis in joint.translations:
-            value, slope, column = self._evaluate(axis, coordinates)
-            direction = frame @ axis.axis
-            centre = centre + value[:, None] * direction
+            value, slope, column = self._evaluate(axis, curves)
+            if column is None and not value.any():
+                continue
+            direction = axis.axis @ frame
+            centre = centre + value * direction
             if column is not None:
-                motion[column, :, 3:] += slope[:, None] * direction
+                motion[column, 3:] += slope * direction
         for axis in joint.rotations:
-            value, slope, column = self._evaluate(axis, coordinates)
+            value, slope, column = self._evaluate(axis, curves)
             if column is not None:
-                spin = slope[:, None] * (turn @ axis.axis)
-                motion[column, :, :3] += spin
-                motion[column, :, 3:] += _cross(centre, spin)
-            turn = turn @ _rotate_about(axis.axis, value)
-        rotation = turn @ joint.child_rotation.T
-        return rotation, centre - rotation @ joint.child_translation
+                spin = slope * (axis.axis @ turn)
+                motion[column, :3] += spin
+                motion[column, 3:] += cross(centre, spin)
+            elif not value.any():
+                continue
+            turn = _turned_about(turn, axis.axis, value)
+        rotation = _turned(turn, joint.child_rotation.T)
+        return rotation, centre - joint.child_translation @ rotation
 
-    def _evaluate(self, axis: Axis, coordinates: Array) -> tuple[Array, Array, int | None]:
+    def _evaluate(self, axis: Axis, curves: Array) -> tuple[Array, Array, int | None]:
         if not axis.coordinate:
-            value, slope = axis.function(np.zeros(len(coordinates)))
+            value, slope = axis.function(np.zeros(1))
             return value, slope, None
         column = self.column[axis.coordinate]
-        return *axis.function(coordinates[:, column]), column
+        return *axis.function(curves[column]), column
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product of (T, 3) arrays; quicker than numpy's for small ones."""
-    x, y, z = a[:, 0], a[:, 1], a[:, 2]
-    u, v, w = b[:, 0], b[:, 1], b[:, 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
-
-
-def _rotate_about(axis: Array, angle: Array) -> Array:
-    """Return rotations (T, 3, 3) about a fixed unit axis (Rodrigues)."""
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    sine, versine = np.sin(angle), 1.0 - np.cos(angle)
-    rotation: Array = (
-        np.eye(3) + sine[:, None, None] * cross + versine[:, None, None] * (cross @ cross)
+def cross(a: Array, b: Array) -> Array:
+    """Return cross products along the first axis; quicker than numpy's for small arrays."""
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
+
+
+def _turned(turn: Array, by: Array) -> Array:
+    """Return ``turn @ by`` for turn (3, 3, T) and a fixed rotation (3, 3)."""
+    return turn if np.array_equal(by, np.eye(3)) else by.T @ turn
+
+
+def _turned_about(turn: Array, axis: Array, angle: Array) -> Array:
+    """Return rotations (3, 3, T) followed by those about a fixed unit axis in their own frame."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    main = int(np.argmax(np.abs(axis)))
+    if abs(axis[main]) == 1.0:
+        one, two = (main + 1) % 3, (main + 2) % 3
+        sine = sine * axis[main]
+        turned = np.empty_like(turn)
+        turned[:, main] = turn[:, main]
+        turned[:, one] = cosine * turn[:, one] + sine * turn[:, two]
+        turned[:, two] = cosine * turn[:, two] - sine * turn[:, one]
+        return turned
+    skew = np.cross(axis, np.eye(3)).T
+    rotation: Array = turn + sine * (skew.T @ turn) + (1.0 - cosine) * ((skew @ skew).T @ turn)
     return rotation
 
 

@@ -87,7 +87,7 @@ def make_lift(
     coordinates = start + share[:, None] * (deep - start)
     body = np.array([tree.body_column[m.body] for m in sized.model.markers])
     local = np.array([m.local for m in sized.model.markers])
-    position = tree.pose(coordinates).place(body, local)
+    position = tree.pose(coordinates).place(body, local).transpose(2, 1, 0)
     recording = MarkerRecording(
         time_s, position, sized.marker_names, rate_hz=30.0, marker_set=marker_set
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from engine.kinematics.markers import fit_markers
-from engine.kinematics.markers.inverse import _State
+from engine.kinematics.markers.inverse import State
 from tests.engine.kinematics.markers.builders import make_lift
 
 
@@ -19,7 +19,7 @@ def test_normal_equations_are_those_of_the_numeric_jacobian(lift):
     rng = np.random.default_rng(3)
     target = lift.recording.position_m[[0, 30, 40]] + 0.01 * rng.standard_normal((3, 45, 3))
     weights = rng.uniform(0.5, 5.0, (3, 45)) * (rng.uniform(size=(3, 45)) > 0.2)
-    state = _State.at(problem, at, target, weights)
+    state = State.at(problem, at, target.transpose(2, 1, 0), weights.T)
     hessian, gradient = problem.normal_equations(state)
 
     jacobian = np.empty((3, 45, 3, problem.free.size))
@@ -27,14 +27,16 @@ def test_normal_equations_are_those_of_the_numeric_jacobian(lift):
         step = np.zeros(at.shape[1])
         step[column] = 1e-6
         moved = [
-            problem.tree.pose(at + sign * step).place(problem.body, problem.local)
+            problem.tree.pose(at + sign * step)
+            .place(problem.body, problem.local)
+            .transpose(2, 1, 0)
             for sign in (1, -1)
         ]
         jacobian[..., i] = (moved[0] - moved[1]) / 2e-6
     flat = jacobian.reshape(3, 135, -1)
     weighted = flat * weights.repeat(3, axis=1)[..., None]
     np.testing.assert_allclose(hessian, weighted.transpose(0, 2, 1) @ flat, atol=1e-6)
-    expected = (weighted * state.residual.reshape(3, 135, 1)).sum(axis=1)
+    expected = (weighted * state.residual.transpose(2, 1, 0).reshape(3, 135, 1)).sum(axis=1)
     np.testing.assert_allclose(gradient, expected, atol=1e-8)
 
 
