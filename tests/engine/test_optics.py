@@ -13,6 +13,7 @@ from engine.optics import (
     camera_centre,
     compute_directions,
     normalise_points,
+    place_on_rays,
     project,
     projection_jacobian,
     with_size,
@@ -99,3 +100,39 @@ def test_an_undistorted_picture_takes_no_iteration() -> None:
     camera = make_camera((0.0,) * 5)
     np.testing.assert_allclose(normalise_points(camera, [955.0, 545.0]), 0.0, atol=1e-15)
     assert normalise_points(camera, [955.0 + 1500.0, 545.0])[0] == pytest.approx(1.0)
+
+
+class TestPlaceOnRays:
+    """A body is put where it looks most like the picture."""
+
+    body = np.random.default_rng(4).uniform(-0.5, 0.5, (6, 12, 3))
+
+    def rays(self, place):
+        points = self.body + place
+        return points / points[..., 2:]
+
+    @pytest.mark.parametrize("place", [(0.0, 0.0, 3.0), (1.0, -0.5, 6.0), (-2.0, 1.0, 4.0)])
+    def test_the_place_is_found(self, place):
+        found = place_on_rays(self.body, self.rays(np.array(place)), np.ones((6, 12)))
+        assert np.allclose(found, place)
+
+    def test_what_is_missing_is_left_out(self):
+        rays, body = self.rays(np.array([0.3, 0.1, 3.0])), self.body.copy()
+        rays[0, :4], body[1, 5:9] = np.nan, np.nan
+        assert np.allclose(place_on_rays(body, rays, np.ones((6, 12))), [0.3, 0.1, 3.0])
+
+    def test_weights_count(self):
+        rays, weight = self.rays(np.array([0.3, 0.1, 3.0])), np.ones((6, 12))
+        rays[:, 0, :2] += 0.3
+        weight[:, 0] = 0.0
+        assert np.allclose(place_on_rays(self.body, rays, weight), [0.3, 0.1, 3.0])
+
+    def test_too_little_to_tell(self):
+        rays, weight = self.rays(np.array([0.3, 0.1, 3.0])), np.zeros((6, 12))
+        weight[:, :2] = 1.0
+        assert np.isnan(place_on_rays(self.body, rays, weight)).all()
+
+    def test_a_body_that_fits_only_behind_the_camera(self):
+        mirrored = -self.rays(np.array([0.0, 0.0, 3.0]))
+        mirrored[..., 2] = 1.0
+        assert np.isnan(place_on_rays(self.body, mirrored, np.ones((6, 12)))).all()

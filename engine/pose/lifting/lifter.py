@@ -274,6 +274,9 @@ def _person_size(pose: ViewPose, rays: Array) -> tuple[Array, float]:
     without such landmarks the longest view of legs and trunk has to do.
     """
     joints = to_h36m(rays)
+    # Beside the middle of the picture everything is stretched; the turned camera sees it as it is.
+    joints = np.einsum("tkj,tji->tki", joints, sight_axes(_steady(joints[:, 0])))
+    joints = joints / joints[..., 2:]
     if pose.body is None:
         size = float(np.nanpercentile([stature_of(j[None]) for j in joints], 95))
         return np.full(len(rays), size), USUAL_STATURE_M
