@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import typer
 
+from engine.cli_library import build_app as build_library_app
 from engine.cli_start import (
     CANCELLED_EXIT_CODE,
     guard_start,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from engine.cli_calibrate import CalibrateRequest
     from engine.cli_settings import AssessSettings
     from engine.datatypes import ViewPose
+    from engine.protocol import ProtocolRequest
     from engine.storage.library import Library
 
 __all__ = ["app", "main"]
@@ -465,6 +467,95 @@ def validate(
     run_validate(request, say=typer.echo, warn=lambda line: typer.echo(line, err=True))
 
 
+@app.command(short_help="Run the validation protocol on a data set with markers.")
+@_one_sentence
+def protocol(
+    dataset: Annotated[Path, typer.Argument(help="Folder of the data set; see docs/datasets.md.")],
+    out: Annotated[Path, typer.Option(help="Folder of the study; an earlier run is taken up.")],
+    estimator: Annotated[
+        str,
+        typer.Option(
+            help="nn, wknn, ridge, gp, gp-smooth, tgp, tgp-knn, tgp-constrained, "
+            "tgp-constrained-gh; several by commas, or all."
+        ),
+    ] = "tgp-constrained",
+    features: Annotated[
+        str,
+        typer.Option(
+            help="hog, hog-paper, landmarks, landmarks-window, hog+landmarks; several by commas, "
+            "or all."
+        ),
+    ] = "hog",
+    folds: Annotated[
+        str,
+        typer.Option(
+            help="trial (repetition-wise), block, random (leaky, for comparison with papers) or "
+            "subject (leave one out)."
+        ),
+    ] = "trial",
+    n_folds: Annotated[int, typer.Option(help="Partitions of trial, block and random folds.")] = 4,
+    persons: Annotated[str | None, typer.Option(help="As P03,P08; by default all.")] = None,
+    views: Annotated[str, typer.Option(help="2, or the first or second alone.")] = "2",
+    train_repetitions: Annotated[
+        int | None,
+        typer.Option(help="Learn from at most so many repetitions of each task (trial folds)."),
+    ] = None,
+    ik: Annotated[
+        str, typer.Option(help="Inverse kinematics: builtin, or opensim where it is installed.")
+    ] = "builtin",
+    seed: Annotated[int, typer.Option(help="Of random folds.")] = 0,
+    cache: Annotated[
+        Path | None,
+        typer.Option(help="Folder for features, to share between runs; by default OUT/cache."),
+    ] = None,
+    skip_unusable: Annotated[
+        bool, typer.Option("--skip-unusable", help="Leave trials out that can't be used.")
+    ] = False,
+    quiet: Quiet = None,
+    debug: Debug = False,
+) -> None:
+    """Train and judge estimators on lifts with markers; write tables, figures and a report.
+
+    Reproduces the tables and figures of the two-view lifting paper on any data set of its kind.
+    A run that was stopped goes on with the same command.
+    """
+    from engine.cli_protocol import build_request
+
+    request = build_request(
+        dataset,
+        out,
+        estimator=estimator,
+        features=features,
+        folds=folds,
+        persons=persons,
+        views=views,
+        n_folds=n_folds,
+        train_repetitions=train_repetitions,
+        ik=ik,
+        seed=seed,
+        cache=cache,
+        skip_unusable=skip_unusable,
+    )
+    _run_study(request, is_quiet=bool(quiet))
+
+
+def _run_study(request: ProtocolRequest, *, is_quiet: bool) -> None:
+    from engine.cli_output import show_progress, stop_on_signal
+    from engine.cli_protocol import run_study
+    from engine.config import Config
+    from engine.datatypes import ProgressCallback, View
+
+    def observe(view: View, progress: ProgressCallback) -> ViewPose:
+        from engine.pipeline import estimate_view
+
+        return estimate_view(view, Config(), progress)
+
+    lines: list[str] = []
+    with show_progress(is_quiet=is_quiet) as shown, stop_on_signal(shown) as progress:
+        run_study(request, observe=observe, progress=progress, say=lines.append)
+    typer.echo("\n".join(lines))
+
+
 @app.command(short_help="Find out where two cameras stand.")
 @_one_sentence
 def calibrate(
@@ -630,6 +721,9 @@ def report(
     )
     request = ReportRequest(tuple(result_dirs), out, tuple(before or ()), options)
     run_report(request, say=typer.echo)
+
+
+app.add_typer(build_library_app(_one_sentence), name="library")
 
 
 @app.command()
