@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.datatypes import PoseTrack, ViewPose
+from engine.datatypes import Array, PoseTrack, ViewPose
 from engine.errors import ConfigError, DataError
 from engine.skeletons import get_skeleton
 
@@ -34,6 +34,8 @@ __all__ = [
     "SideSwap",
     "Span",
     "apply_corrections",
+    "check_lift",
+    "check_pictures",
     "describe_correction",
     "find_limb",
     "read_corrections",
@@ -45,6 +47,8 @@ PROVENANCE_KEY = "user_corrections"
 CONFIG_TABLE = "corrections"
 """Under this key a result's settings hold what was corrected."""
 SAME_MOMENT_S = 1e-3
+ROOM_S = 0.02
+"""Times are shown to a hundredth of a second, and pictures come every few of them."""
 
 LIMBS: Mapping[str, tuple[str, ...]] = {
     "body": (),
@@ -314,6 +318,64 @@ class Corrections:
 
 NO_CORRECTIONS = Corrections()
 
+
+def check_lift(actual: Span, *, clip: Span, others: Sequence[Span]) -> None:
+    """See to it that a lift can be where a person puts it, before anything is computed.
+
+    Parameters
+    ----------
+    actual
+        Its start and end, in the trial's time.
+    clip
+        First and last moment of the trial.
+    others
+        The other lifts.
+
+    Raises
+    ------
+    ConfigError
+        If it lies outside the clip, ends before it starts, or overlaps another one.
+    """
+    _require_order("A lift", *actual, is_moment_enough=False)
+    if actual[0] < clip[0] - ROOM_S or actual[1] > clip[1] + ROOM_S:
+        raise ConfigError(
+            f"A lift must lie within the clip, {clip[0]:.2f} to {clip[1]:.2f} s, got "
+            f"{actual[0]:.2f} to {actual[1]:.2f} s; correct its times."
+        )
+    for other in others:
+        if _overlap_s(actual, other) > ROOM_S:
+            raise ConfigError(
+                f"It would overlap the lift {_name_span(other)}; correct that one, or say that it "
+                "is none."
+            )
+
+
+def check_pictures(correction: SideSwap | PersonChoice, times: Sequence[Array]) -> None:
+    """See to it that there are pictures where a person corrects something.
+
+    Parameters
+    ----------
+    correction
+        Sides or a person.
+    times
+        The times of every view's pictures, each in its own time.
+
+    Raises
+    ------
+    ConfigError
+        If there are none.
+    """
+    if isinstance(correction, SideSwap):
+        start_s, end_s = correction.start_s, correction.end_s
+    else:
+        start_s, end_s = correction.at_s - SAME_MOMENT_S, correction.at_s + ROOM_S
+    if not 0 <= correction.view < len(times):
+        raise ConfigError(
+            f"There is no view {correction.view + 1} to correct; the trial has {len(times)}."
+        )
+    _find_rows(times[correction.view], start_s, end_s)
+
+
 _C = TypeVar("_C", LiftCorrection, SideSwap, PersonChoice)
 
 
@@ -432,11 +494,7 @@ def apply_corrections(
     """
     corrected = list(poses)
     for correction in corrections:
-        if not 0 <= correction.view < len(corrected):
-            raise ConfigError(
-                f"There is no view {correction.view + 1} to correct; the trial has "
-                f"{len(corrected)}."
-            )
+        check_pictures(correction, [pose.image.time_s for pose in corrected])
         corrected[correction.view] = _swap_sides(corrected[correction.view], correction)
     return tuple(corrected)
 
@@ -479,12 +537,7 @@ def _describe(swap: SideSwap) -> dict[str, object]:
 
 
 def _swap_track(track: PoseTrack, swap: SideSwap) -> PoseTrack:
-    rows = (track.time_s >= swap.start_s) & (track.time_s <= swap.end_s)
-    if not rows.any():
-        raise ConfigError(
-            f"No picture lies between {swap.start_s:g} s and {swap.end_s:g} s; the video runs from "
-            f"{track.time_s[0]:.2f} s to {track.time_s[-1]:.2f} s."
-        )
+    rows = _find_rows(track.time_s, swap.start_s, swap.end_s)
     order = _swapped_order(track.skeleton, swap.keypoints)
     at = np.ix_(rows, order)
     changes = {}
@@ -494,6 +547,16 @@ def _swap_track(track: PoseTrack, swap: SideSwap) -> PoseTrack:
             changes[name] = values.copy()
             changes[name][rows] = values[at]
     return dataclasses.replace(track, **changes)
+
+
+def _find_rows(time_s: Array, start_s: float, end_s: float) -> NDArray[np.bool_]:
+    rows = (time_s >= start_s) & (time_s <= end_s)
+    if not rows.any():
+        raise ConfigError(
+            f"No picture lies between {start_s:g} s and {end_s:g} s; the video runs from "
+            f"{time_s[0]:.2f} s to {time_s[-1]:.2f} s."
+        )
+    return np.asarray(rows)
 
 
 def _swapped_order(skeleton: str, keypoints: Sequence[str]) -> NDArray[np.int64]:

@@ -105,6 +105,8 @@ class JobQueue:
             If the library takes nothing; uploads stay where they were.
         """
         _require_videos(request)
+        if request.trial_id:
+            self._require_at_rest(request.trial_id)
         folder = self.root / self.library.new_id()
         aside = hidden_sibling(folder)
         own = request
@@ -148,6 +150,17 @@ class JobQueue:
     def request(self, job_id: str) -> JobRequest:
         """Return what a job was asked to do."""
         return self.store.request(job_id)
+
+    def renewals(self, trial_id: str) -> tuple[JobStatus, ...]:
+        """Return the jobs that assess a trial of the library anew, oldest first."""
+        self.advance()
+        return self.store.of_trial(trial_id)
+
+    def _require_at_rest(self, trial_id: str) -> None:
+        if not all(job.state.is_over for job in self.store.of_trial(trial_id)):
+            raise ConfigError(
+                "This trial is being assessed anew already; wait until that is done, or cancel it."
+            )
 
     def cancel(self, job_id: str) -> None:
         """Ask a job to stop; a waiting one never starts. Ended jobs stay as they are."""
@@ -197,6 +210,9 @@ class JobQueue:
                 self._start(job)
         for job_id in self.store.ended_before(time.time() - KEEP_JOBS_S):
             self._remove(job_id)
+        for job_id, trial_id in self.store.renewed_trials().items():
+            if not self.library.has(trial_id):  # deleted, with all that belongs to it
+                self._remove(job_id)
 
     # ------------------------------------------------------------------ files
 

@@ -10,13 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from engine.config import Config, build_config
+from engine.corrections import NO_CORRECTIONS, Corrections
 from engine.datatypes import Subject, Task, Trial, View
-from engine.errors import ConfigError
+from engine.errors import ConfigError, DataError
 
 __all__ = ["REQUEST_VERSION", "JobRequest"]
 
-REQUEST_VERSION = 2
-"""Raised with every field that changes what an assessment gives; 1 had no number yet."""
+REQUEST_VERSION = 3
+"""Raised with every field that changes what an assessment gives; 1 had no number yet, 2 no
+corrections."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +26,9 @@ class JobRequest:
     """One assessment to run.
 
     `config` holds nested tables as in a configuration file; what is left out keeps its default.
+    `corrections` are what a person saw otherwise. Where `trial_id` names a trial of the library,
+    that one is assessed anew, with its own settings, from the result with the fingerprint
+    `based_on`; `videos` are then only needed to follow another person.
     """
 
     videos: tuple[Path, ...]
@@ -33,6 +38,9 @@ class JobRequest:
     label: str = ""
     site: str = ""
     job: str = ""
+    corrections: Corrections = NO_CORRECTIONS
+    trial_id: str = ""
+    based_on: str = ""
 
     @property
     def trial(self) -> Trial:
@@ -59,6 +67,7 @@ class JobRequest:
         plain["subject"] = dataclasses.asdict(self.subject)
         plain["task"] = dataclasses.asdict(self.task)
         plain["config"] = dict(self.config)
+        plain["corrections"] = self.corrections.as_plain()
         return json.dumps(plain, indent=1)
 
     @classmethod
@@ -78,10 +87,11 @@ class JobRequest:
                 videos=tuple(Path(v) for v in plain.pop("videos")),
                 subject=Subject(**plain.pop("subject")),
                 task=Task(**plain.pop("task")),
+                corrections=Corrections.from_plain(plain.pop("corrections", {})),
                 **plain,
             )
         except (ValueError, TypeError, KeyError, AttributeError) as error:
-            if isinstance(error, ConfigError):
+            if isinstance(error, ConfigError | DataError):
                 raise
             raise ConfigError(
                 f"The job's request can't be read ({error}); start the assessment again."

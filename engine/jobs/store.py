@@ -122,7 +122,9 @@ class JobStore:
 
     def add(self, job_id: str, request: JobRequest, *, priority: int = 0, **known: Any) -> None:
         """Put a job into the queue; `known` are fields of a status it has already."""
-        values = {"submitted_s": time.time(), **known}
+        # A trial that is assessed anew is known from the start, a new one once it is there.
+        renewed = {"trial_id": request.trial_id} if request.trial_id else {}
+        values = {"submitted_s": time.time(), **renewed, **known}
         with self.database.writing() as session:
             session.add(
                 QueuedJob(
@@ -185,6 +187,22 @@ class JobStore:
             replace(job, jobs_ahead=ahead[job.id]) if job.state is JobState.QUEUED else job
             for job in found
         )
+
+    def of_trial(self, trial_id: str) -> tuple[JobStatus, ...]:
+        """Return the jobs that assess a trial of the library anew, oldest first."""
+        statement = select(QueuedJob).where(
+            QueuedJob.trial_id == trial_id, QueuedJob.id != trial_id
+        )
+        with self.database.reading() as session:
+            return tuple(map(_to_status, session.scalars(statement.order_by(QueuedJob.id))))
+
+    def renewed_trials(self) -> dict[str, str]:
+        """Return which trial each job assessed anew that is over."""
+        statement = select(QueuedJob.id, QueuedJob.trial_id).where(
+            QueuedJob.trial_id != QueuedJob.id, QueuedJob.state.in_(OVER)
+        )
+        with self.database.reading() as session:
+            return {str(job): str(trial) for job, trial in session.execute(statement)}
 
     def unfinished(self) -> tuple[JobStatus, ...]:
         """Return the jobs that wait or run, in the order they are started."""

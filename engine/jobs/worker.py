@@ -9,21 +9,23 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from engine.config import Config
+from engine.corrections import NO_CORRECTIONS, Corrections
 from engine.datatypes import ProgressCallback, Trial
 from engine.errors import Cancelled, EngineError, OutputError
 from engine.jobs.local import WORKER_COMMAND, JobQueue
+from engine.jobs.renewal import renew
 from engine.jobs.request import JobRequest
 from engine.jobs.store import AT_WORK, HOST, JobState, JobStatus, JobStore
 from engine.storage.library import Library
 from engine.storage.locks import hold
-from engine.storage.results import is_result_folder
+from engine.storage.results import StoredResult, is_result_folder
 
 __all__ = ["Assess", "main"]
 
@@ -160,6 +162,27 @@ def _assess(trial: Trial, config: Config, folder: Path, progress: ProgressCallba
     return assess_to_folder(trial, config, folder, progress)
 
 
+def _assess_corrected(corrections: Corrections) -> Assess:
+    def assess(trial: Trial, config: Config, folder: Path, progress: ProgressCallback) -> Path:
+        from engine.pipeline import assess_to_folder
+
+        return assess_to_folder(trial, config, folder, progress, corrections)
+
+    return assess
+
+
+def _reassess(
+    stored: StoredResult,
+    corrections: Corrections,
+    folder: Path,
+    videos: Sequence[Path],
+    progress: ProgressCallback,
+) -> Path:
+    from engine.pipeline import reassess_to_folder
+
+    return reassess_to_folder(stored, corrections, folder, videos, progress)
+
+
 def _stop(_signal: int, _frame: FrameType | None) -> None:
     raise Cancelled("The assessment was stopped from outside; nothing was kept.")
 
@@ -184,7 +207,8 @@ def _run(library: Library, folder: Path, reporter: _Reporter, assess: Assess) ->
         )
         reporter.end(JobState.FAILED, exit_code=UNEXPECTED_EXIT_CODE, message=message)
         return UNEXPECTED_EXIT_CODE
-    reporter.end(JobState.DONE, exit_code=0, trial_id=folder.name, fraction=1.0)
+    trial_id = request.trial_id or folder.name
+    reporter.end(JobState.DONE, exit_code=0, trial_id=trial_id, fraction=1.0)
     _drop_uploads(folder, request)
     return 0
 
@@ -192,11 +216,16 @@ def _run(library: Library, folder: Path, reporter: _Reporter, assess: Assess) ->
 def _finish(
     library: Library, folder: Path, request: JobRequest, reporter: _Reporter, assess: Assess
 ) -> None:
-    """Do what an earlier try has not done yet; the trial gets the id of the job."""
+    """Do what an earlier try has not done yet; a new trial gets the id of the job."""
+    if request.trial_id:
+        renew(library, folder, request, reporter, _reassess)
+        return
     if library.has(folder.name):
         return
     result = folder / "result"
     if not is_result_folder(result):
+        if request.corrections != NO_CORRECTIONS:
+            assess = _assess_corrected(request.corrections)
         result = assess(request.trial, request.settings, result, reporter)
     library.adopt(result, folder.name)
 

@@ -1,5 +1,6 @@
 import json
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ from engine.corrections import (
 from engine.errors import ConfigError, DataError
 from engine.pipeline import assess_pose
 from engine.skeletons import MEDIAPIPE_33
+from engine.storage.document import SCHEMA_PATH
 from tests.builders import make_trial, make_view_pose
 
 
@@ -130,6 +132,17 @@ def test_corrections_survive_storing():
     assert back.lifts[0].by == "AB", "who said it is kept, though it makes no difference"
     assert read_corrections({"config": {"corrections": plain}}) == ALL
     assert read_corrections({"config": {}}) == NO_CORRECTIONS
+
+
+@pytest.mark.parametrize("corrections", [ALL, Corrections.of_lifts([(1.0, 2.0)])])
+def test_what_is_stored_fits_the_schema(corrections):
+    schema = json.loads(SCHEMA_PATH.read_text(encoding="utf-8"))
+    part = {"$defs": schema["$defs"], **schema["properties"]["config"]}
+    plain = json.loads(json.dumps({"corrections": corrections.as_plain()}))
+    jsonschema.validate(plain, part)
+    plain["corrections"]["lifts"][0]["actual"] = 1.0
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(plain, part)
 
 
 @pytest.mark.parametrize(
