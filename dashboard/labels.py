@@ -48,6 +48,21 @@ ANSWERS: dict[str, str] = {
 }
 """What a person can say to a flag."""
 
+CORRECTIONS: dict[str, str] = {
+    "lift": "A lift",
+    "sides": "Left and right",
+    "person": "The person",
+}
+"""What a person can put right."""
+LIMBS: dict[str, str] = {
+    "body": "The whole body",
+    "arms": "The arms, with the shoulders",
+    "forearms": "Elbows and hands",
+    "legs": "The legs, with the hips",
+    "shins": "Knees and feet",
+}
+"""What can change sides together."""
+
 CHECK_LEVELS: dict[CheckLevel, LevelLabel] = {
     CheckLevel.GREEN: LevelLabel("Trusted", "The cameras agree with the world.", "ok"),
     CheckLevel.AMBER: LevelLabel("With care", "Something about the cameras is doubtful.", "review"),
@@ -585,5 +600,9 @@ PLAYER: dict[str, Any] = {
 }
 """What the player says; the words in braces are filled in by it."""
 
-PLAYER_ACTIONS: dict[str, str] = {"note": "Note at this moment"}
+PLAYER_ACTIONS: dict[str, str] = {
+    "note": "Note at this moment",
+    "from": "From here",
+    "to": "To here",
+}
 """What can be asked for at the time of the cursor."""

@@ -6,7 +6,7 @@ import math
 
 import streamlit as st
 
-from dashboard import cache, labels, state
+from dashboard import cache, correct_parts, labels, state
 from dashboard.components.player import PlayerEvent, show_player
 from dashboard.components.player.payload import describe_flags, order_flags
 from dashboard.widgets import show_problem
@@ -39,6 +39,7 @@ def show_review(trial_id: str) -> None:
         _show_flag_review(trial_id, result, record)
     with notes:
         _show_notes(trial_id, record)
+    correct_parts.show_corrections(trial_id, result, record)
 
 
 def _follow(trial_id: str, event: PlayerEvent) -> None:
@@ -46,6 +47,8 @@ def _follow(trial_id: str, event: PlayerEvent) -> None:
         state.set_review_value(trial_id, "flag", event.flag)
     if event.action == "note":
         state.set_note_time(trial_id, round(event.time_s, 2))
+    elif event.action in correct_parts.MARKS:
+        correct_parts.mark_moment(trial_id, event.action, event.time_s)
 
 
 # --------------------------------------------------------------------------- flags

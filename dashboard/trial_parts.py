@@ -22,6 +22,7 @@ from dashboard.widgets import (
     table_html,
     when,
 )
+from engine.corrections import read_corrections
 from engine.datatypes import Flag, FlagLevel, RiskResult
 from engine.report import ReportOptions
 from engine.storage.results import StoredResult
@@ -38,6 +39,7 @@ def show_title(result: StoredResult) -> None:
     st.title(document["label"] or "Untitled trial", anchor=False)
     person = f"Person {result.subject.label}"
     length = document["views"][0]["duration_s"]
+    corrected = len(read_corrections(document).all)
     facts = (
         when(document["created"]),
         person,
@@ -45,6 +47,7 @@ def show_title(result: StoredResult) -> None:
         f"{length:.1f} s of video" if length else "",
         f"Load {result.task.load_kg:g} kg" if result.task.load_kg is not None else "Load not given",
         " · ".join(part for part in (document["site"], document["job"]) if part),
+        f"{labels.count(corrected, 'correction')} by hand" if corrected else "",
     )
     st.html(facts_html(facts))
 

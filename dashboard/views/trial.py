@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from dashboard import cache, camera_parts, pages, review_parts, state, trial_parts
+from dashboard import cache, camera_parts, correct_parts, pages, review_parts, state, trial_parts
 
 if st.button("All trials", icon=":material/arrow_back:", type="tertiary"):
     st.switch_page(pages.TRIALS)
@@ -13,6 +13,7 @@ if not trial_id:
 
 result = cache.result(trial_id)
 trial_parts.show_title(result)
+correct_parts.show_renewal(trial_id)
 trial_parts.show_verdict(result)
 st.subheader("What happened, moment by moment", anchor=False)
 review_parts.show_review(trial_id)
