@@ -1,0 +1,1 @@
+"""Swing-twist inverse kinematics of a plain skeleton of 29 joints, in the manner of HybrIK."""
