@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array
 
-__all__ = ["N_STEPS", "cosine_schedule", "sample_postures", "step_times"]
+__all__ = ["CLAMP", "N_STEPS", "cosine_schedule", "sample_postures", "step_times"]
 
 N_STEPS = 1000
 _OFFSET = 0.008
 _LARGEST_FALL = 0.999
+CLAMP = 1.1
+"""Largest coordinate of a joint that is believed, as published."""
 
 Denoiser = Callable[[Array, int], Array]
 """Takes noisy joints (..., 3) and the step, gives joints without noise."""
@@ -53,7 +55,7 @@ def sample_postures(
     steps: int,
     rng: np.random.Generator,
     eta: float = 1.0,
-    clamp: float = 1.1,
+    clamp: float = CLAMP,
 ) -> Array:
     """Draw postures.
 

@@ -13,7 +13,7 @@ from engine.config import CameraConfig
 from engine.datatypes import Array, PoseTrack, ViewPose
 from engine.errors import DataError
 from engine.pose.lifting.aggregation import Aggregation, aggregate
-from engine.pose.lifting.diffusion import sample_postures
+from engine.pose.lifting.diffusion import CLAMP, sample_postures
 from engine.pose.lifting.joints import (
     LIFTED_KEYPOINTS,
     attach_to_joints,
@@ -228,6 +228,9 @@ class DiffusionLifter(Lifter):
         mirrored = _mirror(points)
 
         def denoise(noisy: Array, step: int) -> Array:
+            if not self.network.is_ours:
+                # The published network never saw noise beyond this (metres).
+                noisy = np.clip(noisy, -CLAMP, CLAMP)
             straight = self.network.run(points, noisy, step)
             turned = self.network.run(mirrored, _mirror(noisy), step)
             return 0.5 * (straight + _mirror(turned))

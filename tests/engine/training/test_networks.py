@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -137,3 +138,76 @@ def test_exported_network_says_the_same(tmp_path):
                 else network(given, torch.from_numpy(noisy).float(), torch.zeros(2).long())
             )
         assert np.allclose(found, said.numpy(), atol=1e-4)
+
+
+FAKE_MHFORMER = """
+import torch
+from torch import nn
+class Model(nn.Module):
+    def __init__(self, args):
+        super().__init__()
+        self.args = args
+        self.layer = nn.Linear(2, 3)
+    def forward(self, x):
+        return self.layer(x)
+"""
+FAKE_MIXSTE = """
+import torch
+from torch import nn
+class MixSTE2(nn.Module):
+    def __init__(self, num_frame, embed_dim_ratio, is_train, **_):
+        super().__init__()
+        assert is_train
+        self.layer = nn.Linear(5, 3)
+    def forward(self, x_2d, x_3d, t):
+        x = torch.cat((x_2d, x_3d), dim=-1)
+        return self.layer(x) + 0.001 * t[:, None, None, None]
+"""
+
+
+@pytest.fixture
+def official(tmp_path, monkeypatch):
+    """Stand-ins with the interface of the published code, and checkpoints as they are saved."""
+    from torch import nn
+
+    for name in ("model", "model.mhformer", "common", "common.mixste"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    for file, text in (("model/mhformer.py", FAKE_MHFORMER), ("common/mixste.py", FAKE_MIXSTE)):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text(text)
+    torch.manual_seed(0)
+    first, second = nn.Linear(2, 3).state_dict(), nn.Linear(5, 3).state_dict()
+    torch.save({f"module.layer.{k}": v for k, v in first.items()}, tmp_path / "m.pth")
+    kept = {f"module.pose_estimator.layer.{k}": v for k, v in second.items()}
+    kept["module.betas"] = torch.zeros(3)
+    torch.save({"model_pos": kept}, tmp_path / "d.bin")
+    return tmp_path
+
+
+def test_published_networks_are_converted(official):
+    pytest.importorskip("onnx")
+    from engine.pose.lifting.network import describe_network, open_network
+    from engine.training import convert_official as convert
+
+    for name, file, load in (
+        ("mhformer", "m.pth", convert.load_mhformer),
+        ("d3dp", "d.bin", convert.load_d3dp),
+    ):
+        out = official / f"{name}.onnx"
+        network = load(official, official / file, frames=9, channels=8)
+        sha256 = convert.write_official(network, 9, out)
+        kind = "lifter" if name == "mhformer" else "denoiser"
+        opened = open_network(out, kind)
+        assert describe_network(opened, name)["weights"] == f"{name}-official"
+        assert describe_network(opened, name)["sha256"] == sha256
+        assert (out.parent / f"{name}.onnx.sha256").read_text().startswith(sha256)
+        points = np.random.default_rng(0).normal(size=(3, 9, 17, 2))
+        if kind == "lifter":
+            weights = torch.load(official / file)
+            wanted = points @ weights["module.layer.weight"].numpy().T
+            wanted = wanted + weights["module.layer.bias"].numpy()
+            assert np.allclose(opened.run(points), wanted, atol=1e-5)
+        else:
+            noisy = np.zeros((3, 9, 17, 3))
+            off = opened.run(points, noisy, 100) - opened.run(points, noisy, 0)
+            assert np.allclose(off, 0.1, atol=1e-5)
