@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.cameras.body_sight import see_body_again
-from engine.cameras.depth import BONES, JOINTS, DepthProblem, bone_rows, solve_depths
+from engine.cameras.depth import (
+    BONES,
+    JOINTS,
+    DepthProblem,
+    DepthSettings,
+    bone_rows,
+    solve_depths,
+)
 from engine.datatypes import (
     Array,
     Camera,
@@ -59,6 +66,10 @@ PLANE_SIGMA_SHARE = 0.018
 """Standard error of a well visible keypoint across the line of sight, as a share of stature."""
 DEPTH_SIGMA_SHARE = 0.05
 """The same along the line of sight, relative to the feet."""
+
+SURE_DEPTHS = DepthSettings(prior_m=0.03, prior_share=0.12)
+"""How strictly depths are meant of an estimator that states the errors of its joints. Chosen on the
+synthetic lifts of one person (P06), whom the lifting networks were not trained on."""
 
 _LENGTH_RULES: tuple[tuple[tuple[str, str], float, float, str], ...] = (
     # parts, share of stature, relative standard error, where the length comes from
@@ -527,22 +538,22 @@ def _place_points(
         for n in JOINTS
         if n.endswith(("ankle", "heel", "big_toe"))
     ]
-    solved = solve_depths(
-        DepthProblem(
-            rays=joint_rays,
-            prior=_joint_positions(told[:, :, None], skeleton)[:, :, 0],
-            confidence=_joint_positions(confidence, skeleton)[:, :, 0],
-            feet_depth=depth,
-            lengths=lengths,
-            length_sigma=sigma,
-            up=ground.up,
-            right=np.cross(heading.direction, ground.up),
-            floor_height=ground.floor_height,
-            joint_heights=np.array(heights),
-            is_standing=_find_standing(rays, depth, skeleton, step_s),
-            step_s=step_s,
-        )
+    problem = DepthProblem(
+        rays=joint_rays,
+        prior=_joint_positions(told[:, :, None], skeleton)[:, :, 0],
+        confidence=_joint_positions(confidence, skeleton)[:, :, 0],
+        feet_depth=depth,
+        lengths=lengths,
+        length_sigma=sigma,
+        up=ground.up,
+        right=np.cross(heading.direction, ground.up),
+        floor_height=ground.floor_height,
+        joint_heights=np.array(heights),
+        is_standing=_find_standing(rays, depth, skeleton, step_s),
+        step_s=step_s,
     )
+    states_errors = pose.body is not None and np.isfinite(pose.body.sigma).any()
+    solved = solve_depths(problem, SURE_DEPTHS) if states_errors else solve_depths(problem)
     return np.asarray(rays * _spread_depths(solved, told, skeleton)[:, :, None])
 
 

@@ -15,6 +15,7 @@ import argparse
 import hashlib
 import json
 import logging
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,8 @@ def main() -> None:
         **measure_errors(network, settings, checking),
     }
     export_network(network, settings, facts, options.out)
-    logger.info("%s: %d bytes, %s", options.out, options.out.stat().st_size, _hash(options.out))
+    update_card(options.out)
+    logger.info("%s: %s", options.out, json.dumps(facts))
 
 
 def _steps_trained(run: Path) -> int:
@@ -73,8 +75,17 @@ def _steps_trained(run: Path) -> int:
     return int(state["best_step"])
 
 
-def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def update_card(model: Path) -> None:
+    """Put size and hash of a network into its row of the card beside it, if there is one."""
+    card = model.with_name("LIFTING.md")
+    if not card.is_file():
+        return
+    content = model.read_bytes()
+    facts = rf"| {len(content):,} | \g<1> | `{hashlib.sha256(content).hexdigest()}` |"
+    row = r"\| [^|]* \| ([^|]*) \| `[^`]*` \|"
+    text = card.read_text(encoding="utf-8")
+    text = re.sub(rf"(?<=\| `{re.escape(model.name)}` ){row}", facts, text)
+    card.write_text(text, encoding="utf-8")
 
 
 @torch.no_grad()

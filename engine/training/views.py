@@ -88,6 +88,7 @@ def sample_batches(
     seed: int,
     detected: Sequence[Detected] = (),
     detected_share: float = 0.0,
+    is_varied: bool | None = None,
 ) -> Iterator[Batch]:
     """Give batches without end.
 
@@ -107,14 +108,20 @@ def sample_batches(
         Videos with what the keypoint network really saw.
     detected_share
         Their share of the windows.
+    is_varied
+        Whether bodies, tempo and the size in the picture vary; by default with noise only.
     """
+    is_varied = noise is not None if is_varied is None else is_varied
     rng = np.random.default_rng(seed)
     clips = [clip for clip in clips if len(clip.position) >= n_frames]
     weight = _draw_weights(clips)
     n_detected = round(detected_share * batch_size)
     while True:
         chosen = rng.choice(len(clips), batch_size - n_detected, p=weight)
-        parts = [_imitate([clips[i] for i in chosen], n_frames, noise, rng)] if len(chosen) else []
+        parts = []
+        if len(chosen):
+            windows = [clips[i] for i in chosen]
+            parts.append(_imitate(windows, n_frames, noise, rng, is_varied=is_varied))
         if n_detected:
             rows = rng.integers(0, len(detected), n_detected)
             parts.append(_cut_detected([detected[i] for i in rows], n_frames, rng))
@@ -135,13 +142,18 @@ def _draw_weights(clips: Sequence[Clip]) -> Floats:
 
 
 def _imitate(
-    clips: Sequence[Clip], n_frames: int, noise: KeypointNoise | None, rng: np.random.Generator
+    clips: Sequence[Clip],
+    n_frames: int,
+    noise: KeypointNoise | None,
+    rng: np.random.Generator,
+    *,
+    is_varied: bool,
 ) -> tuple[Floats, Floats]:
     """Cut windows from movements and see them as the keypoint network would."""
-    rows = [_choose_rows(len(clip.position), n_frames, noise is not None, rng) for clip in clips]
+    rows = [_choose_rows(len(clip.position), n_frames, is_varied, rng) for clip in clips]
     pairs = zip(clips, rows, strict=True)
     position = np.stack([clip.position[r].astype(np.float64) for clip, r in pairs])
-    if noise is not None:
+    if is_varied:
         position = vary_windows(position, np.array([c.source == "lifts" for c in clips]), rng)
     seen = project_windows(position, rng)
     stature = stature_of(seen)
@@ -151,6 +163,7 @@ def _imitate(
     confidence = np.ones(rays.shape[:3])
     if noise is not None:
         rays[..., :2], confidence = noise.blur(rays[..., :2], size, rng)
+    if is_varied:
         size = size * np.exp(rng.normal(0.0, SIZE_JITTER, len(size)))
     return _finish(rays, confidence, seen, size, stature)
 

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from engine.cameras.body_sight import see_body_again
+from engine.cameras.monocular import reconstruct_single_view
+from engine.datatypes import Measurement
+from engine.skeletons import MEDIAPIPE_33
+from tests.engine.cameras.truth import read_truth, see
 
 PLACE = np.array([0.2, -0.1, 4.0])
 
@@ -72,3 +78,41 @@ def test_missing_stays_missing(scene):
     assert np.isnan(again[2, 3]).all()
     assert np.array_equal(again[4], rays[4])
     assert np.isfinite(again[[0, 1, 3]]).all()
+
+
+class TestReconstruction:
+    """A real movement whose keypoints lie beside the joints, as a network's do."""
+
+    hips = tuple(MEDIAPIPE_33.index(f"{side}_hip") for side in ("left", "right"))
+
+    @pytest.fixture
+    def lift(self):
+        return read_truth("floor_to_knuckle")
+
+    def trunk_error_deg(self, lift, *, states_errors):
+        view = see(lift.points, lift.cameras["cam90"], lift.time_s)
+        image = np.array(view.image.position)
+        image[:, self.hips] += [12.0, 6.0]
+        sigma = np.full(image.shape[:2], np.nan)
+        if states_errors:
+            joints = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+            names = [f"{side}_{joint}" for side in ("left", "right") for joint in joints]
+            sigma[:, [MEDIAPIPE_33.index(name) for name in names]] = 0.02
+        view = dataclasses.replace(
+            view,
+            image=dataclasses.replace(view.image, position=image),
+            body=dataclasses.replace(view.body, sigma=sigma),
+        )
+        matrix = lift.cameras["cam90"].matrix
+        track, _ = reconstruct_single_view(view, Measurement(lift.stature_m, 0.01), matrix=matrix)
+        trunks = [
+            MEDIAPIPE_33.point(p, "thorax") - MEDIAPIPE_33.point(p, "pelvis")
+            for p in (np.asarray(track.position), lift.points)
+        ]
+        slopes = [np.degrees(np.arctan2(t[:, 0], t[:, 1])) for t in trunks]
+        return float(np.mean(np.abs(slopes[0] - slopes[1])))
+
+    def test_joints_with_stated_errors_put_a_displaced_keypoint_right(self, lift):
+        believed = self.trunk_error_deg(lift, states_errors=True)
+        assert believed < 2.5
+        assert self.trunk_error_deg(lift, states_errors=False) > believed + 2.0
