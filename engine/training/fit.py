@@ -42,6 +42,8 @@ __all__ = ["Settings", "main", "train"]
 logger = logging.getLogger(__name__)
 
 CHECK_PERSON = "P06"
+CHANGEABLE = {"total_steps", "patience", "validate_every"}
+"""Settings with which a run may go on differently: how long it takes and how it is watched."""
 N_SIMULATED = 600
 """Movements of the jointed figure, besides the recorded ones."""
 
@@ -250,7 +252,8 @@ class _Run:
         kept, path = self.out / "settings.json", self.out / "checkpoint.pt"
         if path.exists():
             earlier = json.loads(kept.read_text(encoding="utf-8"))
-            if earlier != asdict(self.settings):
+            changed = {k for k, v in asdict(self.settings).items() if earlier.get(k) != v}
+            if changed - CHANGEABLE:
                 raise ValueError(
                     f"{self.out} holds a run with other settings ({earlier}); choose another "
                     "folder."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 
@@ -105,7 +106,10 @@ def test_training_goes_on_where_it_stopped(material, tmp_path):
     assert torch.load(run / "checkpoint.pt", weights_only=True)["step"] == 0
     train(SMALL, *material, run, budget_s=60)
     assert torch.load(run / "checkpoint.pt", weights_only=True)["step"] == 40
-    assert json.loads((run / "settings.json").read_text())["total_steps"] == 40
+    longer = dataclasses.replace(SMALL, total_steps=60)
+    train(longer, *material, run, budget_s=60)
+    assert torch.load(run / "checkpoint.pt", weights_only=True)["step"] == 60
+    assert json.loads((run / "settings.json").read_text())["total_steps"] == 60
 
 
 @pytest.mark.slow
