@@ -90,7 +90,8 @@ class ProtocolRequest:
             "folds": self.folds,
             "n_folds": self.n_folds,
             "guard_s": self.guard_s,
-            "persons": list(self.persons),
+            # Elsewhere every person is trained alone, so that persons may be added to a run.
+            "persons": list(self.persons) if self.folds == "subject" else [],
             "views": self.views,
             "train_repetitions": self.train_repetitions,
             "ik": self.ik,

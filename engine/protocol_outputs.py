@@ -38,7 +38,7 @@ MOMENTS = (("lift_start", "grab"), ("place", "place"), ("stand", "stand"))
 SHARES = (0.35, 0.65, 0.95)
 """Where in a trial without events those moments are looked for."""
 HEAD_LANDMARKS = ("vertex", "forehead", "front_head", "back_head", "side_head")
-HEAD_RADIUS_M = 0.17
+HEAD_RADIUS_M = 0.19
 """A head with its hair lies within so much of the middle of its markers."""
 
 

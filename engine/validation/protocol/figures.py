@@ -142,7 +142,7 @@ def draw_overlays(study: Study, overlays: Sequence[Sequence[Overlay]]) -> Figure
             _draw_overlay(figure.add_subplot(grid[i, j]), overlay)
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="upper right", ncols=2,
                   fontsize=9, frameon=False)  # fmt: skip
-    _head(figure, study, FIGURE_WORDS["figure2"].split(". ")[1].split(" (")[0] + " markers")
+    _head(figure, study, "Estimated and measured markers")
     return figure
 
 
@@ -151,8 +151,8 @@ def _draw_overlay(axes: Axes, overlay: Overlay) -> None:
     both = np.stack([overlay.measured_px, overlay.estimated_px], axis=1)
     axes.plot(*both.transpose(2, 1, 0), color="white", linewidth=0.7)
     (x, y), (u, v) = overlay.measured_px.T, overlay.estimated_px.T
-    axes.scatter(x, y, s=13, facecolor="none", edgecolor=MEASURED, linewidth=1.0, label="measured")
-    axes.scatter(u, v, s=5, color=ESTIMATED, linewidth=0, label="estimated")
+    axes.scatter(x, y, s=15, facecolor="none", edgecolor=MEASURED, linewidth=1.0, label="measured")
+    axes.scatter(u, v, s=8, color=ESTIMATED, linewidth=0, label="estimated")
     height, width = overlay.image.shape[:2]
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
     axes.set_title(overlay.title, fontsize=8.5, loc="left", pad=2)
@@ -201,7 +201,7 @@ def draw_sides(study: Study, method: MethodResult) -> Figure:
     names = method.trials[0].trial.angle_names
     rows = [row for row in list_angles(study) if len(find_columns(names, row)) == 2]
     figure = Figure(figsize=(8.6, 4.2), dpi=DPI)
-    axes = figure.add_axes((0.07, 0.3, 0.92, 0.58))
+    axes = figure.add_axes((0.07, 0.24, 0.92, 0.64))
     _style(axes)
     x = np.arange(len(rows))
     for shift, word, color, side in ((-0.19, "right", ESTIMATED, "_r"), (0.19, "left", MEASURED,
@@ -216,7 +216,8 @@ def draw_sides(study: Study, method: MethodResult) -> Figure:
     axes.set_xticks(x, [ROW_TITLES[row] for row in rows], fontsize=8.5, rotation=30, ha="right")
     axes.set_ylim(bottom=0)
     axes.set_ylabel("Absolute difference (°)", fontsize=9)
-    axes.legend(fontsize=9, frameon=False, ncols=2, loc="upper right")
+    figure.legend(*axes.get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=9,
+                  frameon=False)  # fmt: skip
     _head(figure, study, f"Left and right, {method.name}: mean and SD")
     return figure
 
