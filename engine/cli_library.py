@@ -251,8 +251,6 @@ def _format_entries(entries: Sequence[TrialEntry]) -> list[str]:
         if entry.is_damaged:
             rows.append((entry.id, "", "(damaged)", "", "", "", "-", "-"))
             continue
-        low, high = entry.li_interval
-        interval = None if low is None or high is None else (low, high)
         rows.append(
             (
                 entry.id,
@@ -261,7 +259,7 @@ def _format_entries(entries: Sequence[TrialEntry]) -> list[str]:
                 entry.subject,
                 entry.site,
                 entry.job,
-                "-" if entry.li is None else format_index(entry.li, interval),
+                "-" if entry.li is None else format_index(entry.li, entry.li_interval),
                 "-" if entry.worst_level is None else entry.worst_level.value,
             )
         )
