@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from engine import subject_model
 from engine.cameras.files.own import format_calibration
 from engine.cameras.monocular import reconstruct_single_view
 from engine.config import Config, SubjectConfig, build_config
@@ -54,6 +55,7 @@ from engine.kinematics.events import LiftFindings, detect_lifts
 from engine.kinematics.fitting.base import add_scene_errors, select_solver
 from engine.kinematics.fusion import fuse_views
 from engine.pose.base import create_backend
+from engine.pose.twin_gp import load_model
 from engine.storage.atomic import scratch_folder
 from engine.storage.results import CALIBRATION_NAME, StoredResult, check_target, write_result
 from engine.subject.detector import PersonDetector
@@ -119,6 +121,8 @@ def assess(
     # Wrong names fail before the long work, not after it.
     select_solver(config.kinematics.solver)
     select_methods(config.risk.methods, experimental=config.risk.experimental)
+    if config.pose.backend == subject_model.BACKEND:
+        subject_model.check_model(trial.views, config)
     if len(trial.views) == 2:
         check_files(trial.views, config.two_view)
     start = time.perf_counter()
@@ -224,7 +228,9 @@ def _assess_poses(
     timings: dict[str, float] = {}
     with _timed(timings, "reconstruction"):
         raw, scene, joined = _reconstruct(trial, poses, config)
-    fused_views = joined if config.two_view.fusion == "model" else None
+        modelled = _ask_model(trial, joined, config)
+        raw = modelled.track if modelled else raw
+    fused_views = joined if config.two_view.fusion == "model" and modelled is None else None
     with _timed(timings, "correction"):
         corrected = every_joint = _keep_doubtful_joints(trial, raw, config)
         if fused_views is None:
@@ -258,6 +264,7 @@ def _assess_poses(
         warnings=(
             *_warn(trial, poses, scene),
             *(joined.warnings if joined else ()),
+            *(modelled.warnings if modelled else ()),
             *_warnings_of_correction(corrected),
             *fit.warnings,
             *findings.warnings,
@@ -299,6 +306,18 @@ def _reconstruct(
         **dataclasses.asdict(config.camera),
     )
     return track, scene, None
+
+
+def _ask_model(
+    trial: Trial, joined: JoinedViews | None, config: Config
+) -> subject_model.ModelledJoints | None:
+    """Return what the person's own model says, if the trial is assessed by one."""
+    if config.pose.backend != subject_model.BACKEND:
+        return None
+    if joined is None:
+        raise ConfigError("The estimator 'twin-gp' needs keypoints of two views, got those of one.")
+    model = load_model(Path(config.pose.model))
+    return subject_model.estimate_joints(model, trial.views, joined)
 
 
 CAMERA_TRAVEL = "camera_travel"

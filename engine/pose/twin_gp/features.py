@@ -86,7 +86,7 @@ FEATURES: Final[Mapping[str, FeatureSet]] = {
             "landmarks-window",
             "BlazePose landmarks of each view, with those of neighbouring frames",
             uses_landmarks=True,
-            window=3,
+            window=1,
         ),
         FeatureSet(
             "hog+landmarks", "HoG of a fixed crop and BlazePose landmarks", HogSettings(), True

@@ -43,7 +43,7 @@ SEARCH_FRAMES: Final = 1000
 TWIN_FRAMES_PER_TRIAL: Final = 20
 GAMMAS: Final = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Widths of a block of features, per median squared distance."""
-NOISES: Final = (1e-4, 1e-3, 1e-2, 1e-1)
+NOISES: Final = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 POSE_GAMMAS: Final = (0.3, 1.0, 3.0)
 POSE_NOISES: Final = (1e-3, 1e-2, 1e-1)
 NEIGHBOURS: Final = (3, 5, 10, 20)

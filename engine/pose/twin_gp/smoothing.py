@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import scipy.signal
 
 from engine.datatypes import Array
 
@@ -33,12 +32,14 @@ def smooth_poses(pose: Array, *, rate_hz: float, cutoff_hz: float | None) -> Arr
     """
     if cutoff_hz is None or cutoff_hz / _TWO_PASSES >= 0.5 * rate_hz:
         return np.array(pose)
-    sos = scipy.signal.butter(2, cutoff_hz / _TWO_PASSES, fs=rate_hz, output="sos")
+    from scipy import signal  # takes a second to import
+
+    sos = signal.butter(2, cutoff_hz / _TWO_PASSES, fs=rate_hz, output="sos")
     smooth = np.array(pose)
     known = np.isfinite(pose).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         if stop - start >= MIN_FRAMES:
             pad = min(stop - start - 1, int(rate_hz))
-            smooth[start:stop] = scipy.signal.sosfiltfilt(sos, pose[start:stop], axis=0, padlen=pad)
+            smooth[start:stop] = signal.sosfiltfilt(sos, pose[start:stop], axis=0, padlen=pad)
     return smooth
