@@ -22,7 +22,7 @@ from engine.pose.lifting.joints import (
 )
 from engine.pose.lifting.network import LiftingNetwork
 from engine.pose.lifting.normalise import prepare_points, sight_axes, stature_of
-from engine.pose.lifting.windows import blend_windows, plan_windows, resample_clip
+from engine.pose.lifting.windows import Samples, blend_windows, plan_windows, resample_clip
 from engine.skeletons import H36M_17, MEDIAPIPE_33
 
 __all__ = ["DiffusionLifter", "DirectLifter", "Lifter", "Windows"]
@@ -32,6 +32,8 @@ USUAL_STATURE_M = 1.7
 """The unit of a body whose size no estimator gave; the camera step brings it to the person's."""
 USUAL_SIGMA = 0.02
 """Standard error of a joint per coordinate, in statures, where a network's file states none."""
+AT_ONCE = 64
+"""Windows that are worked on together, so that memory hardly grows with the clip."""
 _FLIP = np.array([-1.0, 1.0, 1.0])
 
 
@@ -49,12 +51,15 @@ class Windows:
         Shape (W, F, 17).
     size
         Shape (W,), the stature at unit depth.
+    first
+        How many windows of the clip come before these.
     """
 
     points: Array
     rays: Array
     confidence: Array
     size: Array
+    first: int = 0
 
 
 class Lifter(ABC):
@@ -128,32 +133,36 @@ class Lifter(ABC):
         time_s = np.asarray(pose.image.time_s)
         seen = to_h36m(rays)
         size, unit_m = _person_size(pose, rays)
-        joint_confidence = to_h36m_confidence(np.asarray(pose.image.confidence))
-        samples = resample_clip(time_s, seen, joint_confidence)
+        confidence = to_h36m_confidence(np.asarray(pose.image.confidence))
+        samples = resample_clip(time_s, seen, confidence)
+        joints, spread = self._lift_samples(pose, samples, np.interp(samples.time_s, time_s, size))
+        joints = np.where(samples.is_known[..., None], joints, np.nan)
+        joints, spread = (_at_times(samples.time_s, v, time_s) for v in (joints, spread))
+        joints = np.einsum("tkj,tji->tki", joints, sight_axes(_steady(seen[:, 0])))
+        return joints * (unit_m if self.network.is_ours else 1.0), self._sigma(spread) * unit_m
+
+    def _lift_samples(self, pose: ViewPose, samples: Samples, size: Array) -> tuple[Array, Array]:
+        """Return joints (N, 17, 3) in camera axes and the network's unit, and their spread."""
         plan = plan_windows(len(samples.time_s), self.network.n_frames, self._hop)
-        sizes = np.interp(samples.time_s, time_s, size)
-        windows, axes = self._make_windows(
-            pose, samples.points[plan.rows], samples.confidence[plan.rows], sizes[plan.rows]
-        )
-        joints, spread = self.lift_windows(windows)
-        joints = joints - joints[:, :, :1]
+        parts = []
+        for first in range(0, len(plan.rows), AT_ONCE):
+            rows = plan.rows[first : first + AT_ONCE]
+            windows, turned = self._make_windows(
+                pose, samples.points[rows], samples.confidence[rows], size[rows], first
+            )
+            parts.append((*self.lift_windows(windows), turned))
+        joints, spread, axes = (np.concatenate(part) for part in zip(*parts, strict=True))
+        joints = np.einsum("wtkj,wij->wtki", joints - joints[:, :, :1], axes)
         if joints.shape[1] == 1:
             # Only the middle frame of each window is told; the ends of the clip repeat the nearest.
             middles = plan.rows[:, self.network.n_frames // 2]
-            joints, spread = (_spread_middles(v, middles, len(sizes)) for v in (joints, spread))
+            joints, spread = (_spread_middles(v, middles, len(size)) for v in (joints, spread))
         else:
-            joints = np.einsum("wtkj,wij->wtki", joints, axes)
-            joints, spread = (blend_windows(plan, v, len(sizes)) for v in (joints, spread))
-        scale = unit_m if self.network.is_ours else 1.0
-        joints = np.where(samples.is_known[..., None], joints, np.nan)
-        back = [_at_times(samples.time_s, values, time_s) for values in (joints, spread)]
-        axes_of_frame = sight_axes(_steady(seen[:, 0]))
-        joints = np.einsum("tkj,tji->tki", back[0], axes_of_frame) * scale
-        sigma = self._sigma(back[1]) * unit_m
-        return joints, sigma
+            joints, spread = (blend_windows(plan, v, len(size)) for v in (joints, spread))
+        return joints, spread
 
     def _make_windows(
-        self, pose: ViewPose, rays: Array, confidence: Array, size: Array
+        self, pose: ViewPose, rays: Array, confidence: Array, size: Array, first: int
     ) -> tuple[Windows, Array]:
         size = np.median(size, axis=1)
         if self.network.is_ours:
@@ -162,12 +171,13 @@ class Lifter(ABC):
                 [points * size[:, None, None, None], np.ones((*points.shape[:-1], 1))], axis=-1
             )
             points = np.concatenate([points, confidence[..., None]], axis=-1)
-            return Windows(points, turned, confidence, size), axes
+            return Windows(points, turned, confidence, size, first), axes
         width, height = pose.info.size_px
         focal = _assumed_focal_px(pose)
         pixels = rays[..., :2] * focal + [(width - 1) / 2, (height - 1) / 2]
         points = 2.0 * pixels / width - [1.0, height / width]
-        return Windows(points, rays, confidence, size), np.tile(np.eye(3), (len(rays), 1, 1))
+        axes = np.tile(np.eye(3), (len(rays), 1, 1))
+        return Windows(points, rays, confidence, size, first), axes
 
     def _sigma(self, spread: Array) -> Array:
         """Return standard errors (T, 17) in statures."""
@@ -239,7 +249,7 @@ class DiffusionLifter(Lifter):
             denoise,
             (count * n, frames, 17, 3),
             steps=self._steps,
-            rng=np.random.default_rng(self._seed),
+            rng=np.random.default_rng([self._seed, windows.first]),
         )
         drawn = drawn.reshape(count, n, frames, 17, 3)
         size = np.broadcast_to(windows.size[:, None], (n, frames))

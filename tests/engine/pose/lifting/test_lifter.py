@@ -214,3 +214,11 @@ def test_estimators_take_a_network_of_the_user(module, file):
     assert found.body.provenance["weights"] == f"{module.BACKEND_INFO.name}-custom"
     assert len(found.body.provenance["sha256"]) == 64
     assert np.abs(found.body.position[:, LIFTED] - truth[:, LIFTED]).max() < 0.02
+
+
+def test_long_clips_in_parts_give_the_same():
+    pose, truth = film(30.0, seconds=24.0)
+    network = fake_network(flat)
+    body = lift(pose, network, hop_share=0.25).body.position
+    assert network.session.calls > 2 * 5  # 360 windows in parts of 64, each seen twice
+    assert np.abs(body[:, LIFTED] - truth[:, LIFTED]).max() < 0.02
