@@ -2,8 +2,8 @@
 
 from engine.kinematics.markers.fit import MarkerFit, fit_markers, table3_angles
 from engine.kinematics.markers.keypoints import keypoints_from_markers
-from engine.kinematics.markers.mot import write_coordinates_mot
 from engine.kinematics.markers.model import MarkerModel, build_marker_model, scale_to_person
+from engine.kinematics.markers.mot import write_coordinates_mot
 from engine.kinematics.markers.recording import (
     MarkerRecording,
     filter_markers,

@@ -350,7 +350,7 @@ def _describe(
     coordinates[is_unseen] = np.nan
     markers = np.full(position.shape, np.nan)
     markers[np.ix_(fitted, used)] = solution.markers
-    error = _marker_error(problem.weights, position[fitted][:, used], solution.markers)
+    error = _marker_error(position[fitted][:, used], solution.markers, problem.free.size)
     factor = np.where(is_length, 1.0, np.degrees(1.0))
     value, sigma = coordinates * factor, np.sqrt(variance) * error * factor
     sigma[is_unseen] = np.nan
@@ -386,12 +386,15 @@ def _warnings(residual: Array, n_left_out: int) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _marker_error(weights: Array, measured: Array, placed: Array) -> float:
-    """Return the standard error per axis of a marker of weight 1, from how far all of them miss."""
+def _marker_error(measured: Array, placed: Array, n_free: int) -> float:
+    """Return the standard error per axis of a marker, from how far all of them miss the model.
+
+    Every frame's own coordinates follow the errors, which makes the distances too small for them.
+    """
     missed = measured - placed
-    seen = np.isfinite(missed).all(axis=2)
-    squares = np.where(seen, weights * (np.nan_to_num(missed) ** 2).sum(axis=2), 0.0)
-    return float(np.sqrt(squares.sum() / (3.0 * max(1, int(seen.sum())))))
+    seen = np.isfinite(missed)
+    spare = int(seen.sum()) - n_free * len(measured)
+    return float(np.sqrt(np.nansum(missed**2) / max(1, spare)))
 
 
 def _unwrap(coordinates: Array, free: NDArray[np.intp], model: MarkerModel) -> Array:

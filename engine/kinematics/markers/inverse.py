@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +39,9 @@ MAX_STEP = 0.5
 """Largest change of a coordinate in one step, rad or m."""
 FLOOR = 1e-7
 """Curvature, in weight times m^2 per rad^2, given to coordinates that no marker shows."""
+UNSEEN = 1e4
+"""Variance, rad^2 per m^2, above which no marker shows a coordinate: errors of 1 cm turn it by a
+radian."""
 STRAY_M = 0.01
 MAX_RESTARTS = 5
 MAX_STEPS = 60
@@ -51,8 +54,8 @@ class Solution:
     """Coordinates (T, Q), radians and metres, and what is left over.
 
     `markers` (T, M, 3) are the model's markers; `rms_m` (T,) the weighted root mean square distance
-    to the measured ones; `variance` (T, Q) that of every coordinate for markers whose errors have
-    a variance of 1 m^2 divided by their weight.
+    to the measured ones; `variance` (T, Q) that of every coordinate per variance of the markers,
+    all measured alike well; NaN for coordinates that may not change.
     """
 
     coordinates: Array
@@ -285,7 +288,11 @@ class MarkerProblem:
             hessian, _ = self.normal_equations(state)
             hessian[:, diagonal, diagonal] += FLOOR
             inverse = np.linalg.inv(hessian)
-            variance[part, self.free] = inverse[:, diagonal, diagonal]
+            # Weights say what to trust in this model, not how well a marker was measured.
+            squared, _ = self.normal_equations(replace(state, weights=state.weights**2))
+            own = inverse[:, diagonal, diagonal]
+            spread = ((inverse @ squared) * inverse).sum(axis=2)
+            variance[part, self.free] = np.where(own > UNSEEN, own, spread)
         return Solution(coordinates, markers.transpose(2, 1, 0), rms, variance)
 
 
