@@ -47,6 +47,8 @@ class Sample:
     subject: Subject
     task: Task
     licence: str = ""
+    site: str = SAMPLES_SITE
+    job: str = ""
     second_video: Path | None = None
     calibration: Path | None = None
 
@@ -63,8 +65,8 @@ class Sample:
             subject=self.subject,
             task=self.task,
             label=self.title,
-            site=SAMPLES_SITE,
-            job=self.key.replace("_", " ").capitalize(),
+            site=self.site,
+            job=self.job,
         )
         cameras = "" if self.calibration is None else str(self.calibration)
         config = Config(two_view=TwoViewConfig(calibration=cameras))
@@ -118,9 +120,13 @@ def _build_sample(folder: Path, entry: dict[str, Any]) -> Sample:
         key=entry["key"],
         title=entry["title"],
         video=folder / entry["file"],
-        subject=build_section("sample", Subject, {"label": entry["key"], **subject}),
+        subject=build_section(
+            "sample", Subject, {"label": entry.get("subject", entry["key"]), **subject}
+        ),
         second_video=folder / entry["second_file"] if "second_file" in entry else None,
         calibration=folder / entry["calibration"] if "calibration" in entry else None,
         task=build_section("sample", Task, task),
         licence=entry.get("licence", ""),
+        site=entry.get("site", SAMPLES_SITE),
+        job=entry.get("job", ""),
     )

@@ -164,7 +164,10 @@ class TestShipped:
             folder = cli_demo.SAMPLE_FOLDER / sample_results.RESULTS_NAME / sample.key
             stored = read_result(folder)
             assert stored.document["label"] == f"Sample: {sample.title}"
-            assert stored.document["site"] == SAMPLES_SITE
+            assert stored.subject == sample.subject
+            assert stored.task == sample.task
+            assert (stored.document["site"], stored.document["job"]) == (sample.site, sample.job)
+            assert sample.site == SAMPLES_SITE
             assert stored.overlay_path is not None
             assert stored.thumbnail_path is not None
             assert (stored.second_overlay_path is None) == (sample.second_video is None)
