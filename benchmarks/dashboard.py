@@ -46,7 +46,7 @@ AIMS = {
     "server with no session": "",
     "server with 10 sessions": "600 MB",
 }
-ENTRIES = '[class*="st-key-entry-"]'
+ENTRIES = ".ll-item"
 
 
 def start_server(home: Path, app: Path | None = None) -> tuple[subprocess.Popen[bytes], str]:

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from html import escape
-from typing import Literal
+from typing import Literal, cast, get_args
 
 import streamlit as st
 
 from dashboard import cache, manage_cache, pages, state
+from dashboard.components.cards import Card, CardButton, show_cards
 from dashboard.labels import JOB_STATES, LEVELS, NOT_JUDGED, count
 from dashboard.widgets import (
     ASSETS,
@@ -195,17 +196,27 @@ def show_pages(total: int) -> None:
 # --------------------------------------------------------------------------- entries
 
 
-def show_entry(entry: TrialEntry) -> Action | None:
-    """Show one trial; return what the user wants with it."""
-    with st.container(border=True, key=f"entry-{entry.id}"):
-        card, buttons = st.columns([8.1, 1.9], vertical_alignment="center")
-        card.html(_card_html(entry))
-        with buttons.container(horizontal=True, horizontal_alignment="right"):
-            return _ask_action(entry)
+OPEN = CardButton("open", "Open")
+EDIT = CardButton("edit", "Edit", icon="edit", tip="Name, site, job, person and tags")
+DELETE = CardButton("delete", "Delete", icon="delete", tip="Delete this trial")
+
+
+def show_entries(entries: Sequence[TrialEntry]) -> tuple[Action, TrialEntry] | None:
+    """Show trials; return what the user wants just now, and with which of them."""
+    asked = show_cards(map(_build_card, entries), key="entries")
+    if asked is None or asked.action not in get_args(Action):
+        return None
+    # Somebody may have deleted it since it was shown.
+    entry = next((one for one in entries if one.id == asked.id), None)
+    return None if entry is None else (cast("Action", asked.action), entry)
+
+
+def _build_card(entry: TrialEntry) -> Card:
+    buttons = (DELETE,) if entry.is_damaged else (OPEN, EDIT, DELETE)
+    return Card(entry.id, _card_html(entry), buttons)
 
 
 def _card_html(entry: TrialEntry) -> str:
-    """Return a trial as one piece of HTML: a list of many widgets is slow to draw."""
     tags = "".join(f'<span class="ll-label">{escape(tag)}</span>' for tag in entry.tags)
     notes = f"<span>{count(entry.n_notes, 'note')}</span>" if entry.n_notes else ""
     under = f'<div class="ll-labels">{tags}{notes}</div>' if tags or notes else ""
@@ -218,30 +229,6 @@ def _card_html(entry: TrialEntry) -> str:
         f'<div class="ll-entry">{image_html(entry.thumbnail_path)}'
         f"<div>{entry_html(entry)}{under}</div>{judged}</div>"
     )
-
-
-def _ask_action(entry: TrialEntry) -> Action | None:
-    action: Action | None = None
-    if not entry.is_damaged:
-        if st.button("Open", key=f"open-{entry.id}"):
-            action = "open"
-        if st.button(
-            "",
-            key=f"edit-{entry.id}",
-            icon=":material/edit:",
-            type="tertiary",
-            help="Name, site, job, person and tags",
-        ):
-            action = "edit"
-    if st.button(
-        "",
-        key=f"delete-{entry.id}",
-        icon=":material/delete:",
-        type="tertiary",
-        help="Delete this trial",
-    ):
-        action = "delete"
-    return action
 
 
 EDITED = (

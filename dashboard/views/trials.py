@@ -30,12 +30,13 @@ if not found.total:
     )
     st.stop()
 trial_list.show_count(found)
-for entry in found.entries:
-    action = trial_list.show_entry(entry)
+wanted = trial_list.show_entries(found.entries)
+trial_list.show_pages(found.total)
+if wanted is not None:
+    action, entry = wanted
     if action == "open":
         st.switch_page(pages.TRIAL, query_params=state.trial_parameters(entry.id))
     if action == "edit":
         trial_list.edit_entry(entry)
     if action == "delete":
         trial_list.confirm_deletion(entry)
-trial_list.show_pages(found.total)

@@ -1,9 +1,29 @@
+import json
+
 import pytest
+from streamlit.components.v2.bidi_component.main import _make_trigger_id
 
 
 def html(app):
     """Everything the page wrote as HTML, without its style sheet."""
-    return " ".join(e.body for e in app.html if not e.body.startswith("<style>"))
+    written = [e.body for e in app.html if not e.body.startswith("<style>")]
+    return " ".join([*written, *cards(app)])
+
+
+def cards(app):
+    """The HTML of every list of cards."""
+    return [json.loads(e.proto.json)["html"] for e in app.get("bidi_component")]
+
+
+def press(app, action, identifier):
+    """Press a button on a card, as the browser would tell it."""
+    (component,) = app.get("bidi_component")
+    states = app._tree.get_widget_states()
+    asked = {"event": "asked", "value": {"action": action, "id": identifier}}
+    state = states.widgets.add()
+    state.id = _make_trigger_id(component.proto.id, "events")
+    state.json_trigger_value = json.dumps([asked])
+    return app._run(states)
 
 
 def test_the_app_opens_on_the_list(app):
