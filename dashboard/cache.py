@@ -20,11 +20,11 @@ from engine.cameras.files.own import format_calibration
 from engine.cameras.files.reading import read_calibration
 from engine.compare_form import read_performance
 from engine.datatypes import Calibration, JointAngles, ViewInfo
-from engine.errors import DataError, EngineError
+from engine.errors import DataError, EngineError, OutputError
 from engine.form import Comparison, Repetition, compare_every_repetition, find_repetitions
 from engine.jobs.local import JobQueue
 from engine.kinematics.fitting import geometric
-from engine.storage.atomic import write_aside
+from engine.storage.atomic import explain_os_errors, hidden_sibling, write_aside
 from engine.storage.curation import TrialRecord
 from engine.storage.exports import export_result
 from engine.storage.library import Library
@@ -227,11 +227,18 @@ def import_calibration(source: IO[bytes], name: str) -> tuple[Calibration, str]:
 
 
 def keep_calibration(name: str, text: str) -> None:
-    """Keep a calibration under a name, in the place of an earlier one of that name."""
-    folder = library().root / CALIBRATION_FOLDER
-    folder.mkdir(exist_ok=True)
-    with write_aside(folder / sanitise_name(f"{name}.toml")) as aside:
-        aside.write_text(text, encoding="utf-8")
+    """Keep a calibration under a name, in the place of an earlier one of that name.
+
+    Raises
+    ------
+    OutputError
+        If it can't be written.
+    """
+    path = library().root / CALIBRATION_FOLDER / sanitise_name(f"{name}.toml")
+    with explain_os_errors(path, "The calibration"):
+        path.parent.mkdir(exist_ok=True)
+        with write_aside(path) as aside:
+            aside.write_text(text, encoding="utf-8")
 
 
 def remove_calibration(path: str) -> None:
@@ -240,14 +247,28 @@ def remove_calibration(path: str) -> None:
 
 
 def save_upload(source: IO[bytes], name: str) -> Path:
-    """Write an upload into the library piece by piece; return where it lies."""
+    """Write an upload into the library piece by piece; return where it lies.
+
+    Raises
+    ------
+    OutputError
+        If there is no room for it; nothing is left of it then.
+    """
     home = library()
     folder = home.upload_folder(home.new_id())
     target = folder / sanitise_name(name)
-    with target.open("wb") as file:
-        while chunk := source.read(CHUNK_BYTES):
-            file.write(chunk)
+    try:
+        with explain_os_errors(target, "The upload"), write_aside(target) as aside:
+            _copy(source, aside)
+    except OutputError:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     return target
+
+
+def _copy(source: IO[bytes], target: Path) -> None:
+    with target.open("wb") as file:
+        shutil.copyfileobj(source, file, CHUNK_BYTES)
 
 
 def sanitise_name(name: str) -> str:
@@ -331,12 +352,23 @@ def reference_file(trial_id: str) -> Path | None:
 
 
 def save_reference(trial_id: str, name: str, source: IO[bytes]) -> None:
-    """Keep a recording with a trial, in the place of an earlier one."""
-    remove_reference(trial_id)
-    target = library().folder(trial_id) / REFERENCE_FOLDER / sanitise_name(name)
-    target.parent.mkdir()
-    with write_aside(target) as aside, aside.open("wb") as file:
-        shutil.copyfileobj(source, file, CHUNK_BYTES)
+    """Keep a recording with a trial, in the place of an earlier one.
+
+    Raises
+    ------
+    OutputError
+        If there is no room for it; the earlier one stays then.
+    """
+    folder = library().folder(trial_id) / REFERENCE_FOLDER
+    aside = hidden_sibling(folder)
+    try:
+        with explain_os_errors(folder, "The recording"):
+            aside.mkdir()
+            _copy(source, aside / sanitise_name(name))
+            remove_reference(trial_id)
+            aside.rename(folder)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def remove_reference(trial_id: str) -> None:

@@ -201,11 +201,13 @@ def _ask_upload(slot: int, title: str) -> Path | None:
 
 def _receive(arrived: Any, slot: int) -> None:
     """Put an upload on disk at once and look whether it is a usable video."""
-    path = cache.save_upload(arrived, arrived.name)
+    path = None
     try:
+        path = cache.save_upload(arrived, arrived.name)
         info = cache.video_facts(path)
     except EngineError as error:
-        path.unlink()
+        if path is not None:
+            path.unlink()
         state.set_upload(None, slot)
         state.set_rejected_upload(arrived.file_id, str(error), slot)
         return

@@ -21,6 +21,7 @@ from engine.errors import ConfigError
 from engine.jobs.local import JobRequest
 from engine.preferences import Preferences, read_preferences, write_preferences
 from engine.report import ReportOptions, render_job_report, render_trial_report
+from engine.storage.atomic import explain_os_errors
 from engine.storage.entries import Choices
 from engine.storage.overview import Overview
 from engine.storage.results import read_result
@@ -140,10 +141,12 @@ def import_library(source: IO[bytes]) -> ImportReport:
     ------
     DataError
         If it is no such file, or damaged.
+    OutputError
+        If there is no room for it.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "import.zip"
-        with path.open("wb") as file:
+        with explain_os_errors(path, "The upload"), path.open("wb") as file:
             shutil.copyfileobj(source, file, cache.CHUNK_BYTES)
         return cache.library().import_archive(path)
 
