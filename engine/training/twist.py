@@ -172,7 +172,7 @@ def fit(
     out: Path,
     settings: Settings,
 ) -> Any:
-    """Train, and return the network of the best epoch."""
+    """Train, and return the network of the epoch with the smallest validation error."""
     import torch
 
     torch.manual_seed(settings.seed)
@@ -181,37 +181,49 @@ def fit(
     optimizer = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.epochs)
     batches, best, kept = sample_batches(train, settings), np.inf, None
-    checked = {
+    checked = _disturbed(validate)
+    with (out / "log.csv").open("w", newline="") as file:
+        log = csv.writer(file)
+        log.writerow(["epoch", "loss", *(f"{name}_deg" for name in checked)])
+        for epoch in range(settings.epochs):
+            losses = [_step(network, optimizer, next(batches)) for _ in range(settings.steps)]
+            schedule.step()
+            error = {name: limb_error(network, examples) for name, examples in checked.items()}
+            log.writerow([epoch, np.mean(losses), *error.values()])
+            file.flush()
+            logger.info("epoch %d: %s", epoch, {k: round(v, 2) for k, v in error.items()})
+            if (score := float(np.mean(list(error.values())))) < best:
+                best, kept = score, {k: v.clone() for k, v in network.state_dict().items()}
+    network.load_state_dict(kept)
+    return network.eval()
+
+
+def _step(network: Any, optimizer: Any, batch: tuple[NDArray[np.float32], ...]) -> float:
+    """Take one step, and return the loss: the mean squared distance of the known pairs."""
+    import torch
+
+    seen, wanted, weight = (torch.from_numpy(a) for a in batch)
+    off = (network(seen) - wanted).reshape(len(seen), -1, 2).square().sum(dim=-1)
+    loss = (off * weight).sum() / weight.sum()
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+    return float(loss.detach())
+
+
+def _disturbed(validate: dict[str, TwistExamples]) -> dict[str, TwistExamples]:
+    """Let the joints err, always in the same way; those that were seen do so by themselves."""
+    return {
         name: e
         if name == "seen"
         else replace(e, joints=disturb(e.joints, np.random.default_rng(1)))
         for name, e in validate.items()
     }
-    with (out / "log.csv").open("w", newline="") as file:
-        log = csv.writer(file)
-        log.writerow(["epoch", "loss", *(f"{name}_deg" for name in checked)])
-        for epoch in range(settings.epochs):
-            total = 0.0
-            for _ in range(settings.steps):
-                seen, wanted, weight = (torch.from_numpy(a) for a in next(batches))
-                off = (network(seen) - wanted).reshape(len(seen), -1, 2).square().sum(dim=-1)
-                loss = (off * weight).sum() / weight.sum()
-                optimizer.zero_grad()
-                loss.backward()
-                optimizer.step()
-                total += float(loss.detach())
-            schedule.step()
-            error = {
-                n: np.nanmean(twist_errors(run_network(network, e.joints), e)[LIMBS])
-                for n, e in checked.items()
-            }
-            log.writerow([epoch, total / settings.steps, *error.values()])
-            file.flush()
-            logger.info("epoch %d: %s", epoch, {k: round(float(v), 2) for k, v in error.items()})
-            if (score := float(np.mean(list(error.values())))) < best:
-                best, kept = score, {k: v.clone() for k, v in network.state_dict().items()}
-    network.load_state_dict(kept)
-    return network.eval()
+
+
+def limb_error(network: Any, examples: TwistExamples) -> float:
+    """Return the mean error of the limbs' twists, degrees."""
+    return float(np.nanmean(twist_errors(run_network(network, examples.joints), examples)[LIMBS]))
 
 
 LIMBS = [
