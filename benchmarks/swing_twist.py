@@ -157,7 +157,7 @@ def table_angles(data: Path, cache: Path, persons: list[str], every: int) -> str
         pose, truth = load_pose(video, cache, Config()), read_truth(video.parent)
         group = "test" if video.parent.name[:3] in TEST_PERSONS else "training"
         for name in ("mediapipe", *backends):
-            used = backends[name].pose_body(pose) if name in backends else pose
+            used = backends[name].lift(pose) if name in backends else pose
             errors = compare_angles(_angles_of(used, truth.stature_m), truth)
             row = {n.removesuffix("_flexion"): errors[f"{n} deg"] for n in ANGLES}
             label = name if name == "mediapipe" else f"hybrik-open, {name}"

@@ -237,6 +237,13 @@ def assess(
     blur: Annotated[
         bool | None, typer.Option("--blur/--no-blur", help="Blur heads in the annotated video.")
     ] = None,
+    surface: Annotated[
+        bool | None,
+        typer.Option(
+            "--surface/--skeleton",
+            help="Draw a body surface instead of the skeleton (needs the extra anny).",
+        ),
+    ] = None,
     quiet: Quiet = None,
     debug: Debug = False,
 ) -> None:
@@ -247,8 +254,8 @@ def assess(
     destination_control, notes; [trial] label, site, job; [run] out, quiet; and one table per
     step: [video] start_s, stop_s; [subject] box; [pose] backend, variant, threads, model;
     [two_view] calibration, sync, fusion; [correction] preset; [kinematics] solver;
-    [risk] methods; [output] overlay, blur_heads. [corrections] lifts = [[2.1, 3.4]] says when the
-    lifts were, where they were not found as they happened.
+    [risk] methods; [output] overlay, blur_heads, surface. [corrections] lifts = [[2.1, 3.4]] says
+    when the lifts were, where they were not found as they happened.
     """
     from engine.cli_settings import OPTION_KEYS, build_settings
 

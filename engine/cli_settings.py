@@ -41,6 +41,7 @@ OPTION_KEYS: Mapping[str, tuple[str, str]] = {
     "lift": (CONFIG_TABLE, "lifts"),
     "overlay": ("output", "overlay"),
     "blur": ("output", "blur_heads"),
+    "surface": ("output", "surface"),
     "out": ("run", "out"),
     "quiet": ("run", "quiet"),
 }

@@ -279,10 +279,14 @@ class RiskConfig:
 
 @dataclass(frozen=True)
 class OutputConfig:
-    """What is written beside `trial.json`."""
+    """What is written beside `trial.json`.
+
+    `surface` draws a body surface over the person instead of the skeleton (extra `anny`).
+    """
 
     overlay: bool = True
     blur_heads: bool = True
+    surface: bool = False
 
 
 @dataclass(frozen=True)

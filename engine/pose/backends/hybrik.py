@@ -9,7 +9,7 @@ import numpy as np
 
 from engine.config import PoseConfig
 from engine.datatypes import Array, PoseTrack, ProgressCallback, TrackedStream, ViewInfo, ViewPose
-from engine.errors import NoPersonFound
+from engine.errors import ConfigError, NoPersonFound
 from engine.pose.backends import mediapipe
 from engine.pose.base import BackendInfo
 from engine.pose.swing_twist.landmarks import landmarks_from_joints, picture_scale
@@ -30,6 +30,7 @@ BACKEND_INFO = BackendInfo(
     ),
     requires=mediapipe.BACKEND_INFO.requires,
     takes_model=True,
+    lifts=True,
 )
 
 
@@ -68,19 +69,26 @@ class Backend:
         """
         if self._network is None:
             pose = self._landmarks.estimate(frames, view, progress)
-            return self.pose_body(pose)
+            return self.lift(pose)
         watched = _Watched(self._network)
         pose = self._landmarks.estimate(watched.watch(frames), view, progress)
         return watched.replace_body(pose)
 
-    def pose_body(self, pose: ViewPose) -> ViewPose:
+    def lift(self, pose: ViewPose) -> ViewPose:
         """Return what BlazePose saw with its body track on a skeleton of constant bones.
 
         Raises
         ------
+        ConfigError
+            If a network of the user's own was named: it needs the pictures.
         NoPersonFound
             If legs and trunk are never seen together.
         """
+        if self._network is not None:
+            raise ConfigError(
+                "The network named by pose.model looks at the pictures, but only keypoints are "
+                "there; assess the video itself, or leave the model out."
+            )
         body = _body_of(pose)
         posed, _ = pose_landmarks(np.array(body.position), ik=self._ik)
         return _with_body(pose, posed, {"estimator": "hybrik-open", "ik": self._ik})

@@ -23,6 +23,7 @@ from engine.errors import ConfigError, NoPersonFound
 from engine.pose.backends import hybrik, mediapipe
 from engine.pose.base import create_backend
 from engine.skeletons import MEDIAPIPE_33
+from tests.builders import make_view_pose
 from tests.engine.pose.backends.test_mediapipe import StandInNetworks
 from tests.engine.pose.swing_twist.builders import REST, human_rotations, place
 from tests.engine.pose.swing_twist.onnx_files import write_network
@@ -63,7 +64,7 @@ def test_bones_are_constant_and_the_picture_is_blazepose_s(ik):
     rng = np.random.default_rng(1)
     body = place(human_rotations(30, seed=1))
     seen = pose_of(body + rng.normal(0, 0.01, body.shape))
-    posed = hybrik.Backend(PoseConfig(backend="hybrik", ik=ik)).pose_body(seen)
+    posed = hybrik.Backend(PoseConfig(backend="hybrik", ik=ik)).lift(seen)
     np.testing.assert_array_equal(posed.image.position, seen.image.position)
     shin = np.linalg.norm(np.diff(posed.body.position[:, SHIN], axis=1), axis=-1)
     assert np.ptp(shin) < 1e-9
@@ -75,7 +76,7 @@ def test_bones_are_constant_and_the_picture_is_blazepose_s(ik):
 def test_frames_without_landmarks_stay_missing():
     body = place(human_rotations(5, seed=2))
     body[2] = np.nan
-    posed = hybrik.Backend(PoseConfig(backend="hybrik")).pose_body(pose_of(body))
+    posed = hybrik.Backend(PoseConfig(backend="hybrik")).lift(pose_of(body))
     assert (posed.body.status[2] == Status.MISSING).all()
     assert (posed.body.status[[0, 1, 3, 4]] == Status.MEASURED).all()
 
@@ -131,4 +132,11 @@ def test_what_can_t_be_used_is_said():
         create_backend(PoseConfig(backend="hybrik", model="nowhere.onnx"))
     without = dataclasses.replace(pose_of(place(human_rotations(2, seed=6))), body=None)
     with pytest.raises(NoPersonFound, match="came without"):
-        hybrik.Backend(PoseConfig(backend="hybrik")).pose_body(without)
+        hybrik.Backend(PoseConfig(backend="hybrik")).lift(without)
+
+
+def test_a_network_that_looks_at_pictures_can_not_lift_keypoints(monkeypatch):
+    monkeypatch.setattr(hybrik, "OfficialNetwork", lambda path, threads: object())
+    backend = hybrik.Backend(PoseConfig(backend="hybrik", model="own.onnx"))
+    with pytest.raises(ConfigError, match="looks at the pictures"):
+        backend.lift(make_view_pose())
