@@ -26,7 +26,8 @@ from engine.kinematics.markers import fit_markers
 from engine.pose.twin_gp import FEATURES, REGRESSORS, ModelSource, TwinGPModel, train_model
 from engine.protocol_features import Embedding, Observe, embed_person, embed_together
 from engine.protocol_inputs import Cache, PersonData, name_angles, read_person, write_arrays
-from engine.protocol_outputs import draw_pictures, write_study
+from engine.protocol_outputs import draw_pictures, write_reference, write_study
+from engine.protocol_stored import PREDICTIONS_FOLDER, RUN_NAME, name_method_folder
 from engine.storage.atomic import explain_os_errors, write_aside
 from engine.validation.protocol.dataset import Dataset, Views, read_dataset
 from engine.validation.protocol.figures import choose_example
@@ -41,12 +42,10 @@ from engine.validation.protocol.folds import (
 from engine.validation.protocol.leak import LeakCheck, Neighbours, check_leak, find_neighbours
 from engine.validation.protocol.statistics import MethodResult, MethodTrial, Study
 
-__all__ = ["RUN_NAME", "ProtocolRequest", "run_protocol"]
+__all__ = ["ProtocolRequest", "run_protocol"]
 
 logger = logging.getLogger(__name__)
 
-RUN_NAME = "run.json"
-PREDICTIONS = "predictions"
 RUN_VERSION = 1
 """Raised whenever what a fold's file holds changes."""
 
@@ -154,6 +153,7 @@ def run_protocol(
             for features in request.features
             for method in _run_features(run, units, features)
         ]
+        write_reference(persons, out)
         study = _gather(dataset, persons, run, methods)
         overlays = draw_pictures(choose_example(study.main), persons, progress)
         write_study(study, overlays, out, progress)
@@ -339,7 +339,7 @@ def _run_fold(
 ) -> _FoldOutcome:
     """Train and estimate, unless an earlier run has done so."""
     fold = unit.folds[k]
-    folder = run.out / PREDICTIONS / _folder_name(f"{features}/{name}") / "folds"
+    folder = run.out / PREDICTIONS_FOLDER / name_method_folder(f"{features}/{name}") / "folds"
     path = folder / f"{unit.name}_{k + 1}.npz"
     run.progress(f"{fold.name}: {features}/{name}", k, len(unit.folds))
     if path.is_file():
@@ -353,10 +353,6 @@ def _run_fold(
     }
     write_arrays(path, arrays)
     return _read_outcome(path)
-
-
-def _folder_name(method: str) -> str:
-    return method.replace("/", "__")
 
 
 def _read_outcome(path: Path) -> _FoldOutcome:
@@ -440,7 +436,12 @@ def _fit_angles(
             run.progress(f"{person.label}: angles of {method}", len(done), total)
             part = slice(start, start + trial.time_s.size)
             start += trial.time_s.size
-            path = run.out / PREDICTIONS / _folder_name(method) / f"{trial.subject}_{trial.label}"
+            path = (
+                run.out
+                / PREDICTIONS_FOLDER
+                / name_method_folder(method)
+                / f"{trial.subject}_{trial.label}"
+            )
             curves = _angles_of(run, person, markers[part], sigma[part], trial.time_s,
                                 path.with_name(f"{path.name}.npz"))  # fmt: skip
             done.append(MethodTrial(trial, markers[part], curves))

@@ -14,7 +14,8 @@ from engine.datatypes import Array, Camera, Frame, ProgressCallback
 from engine.errors import CalibrationError
 from engine.kinematics.markers.keypoints import find_marker_set
 from engine.optics import project
-from engine.protocol_inputs import PersonData
+from engine.protocol_inputs import PersonData, write_arrays
+from engine.protocol_stored import PDF_NAME, REFERENCE_FOLDER
 from engine.report.study_report import render_study_pdf
 from engine.storage.atomic import explain_os_errors, write_aside
 from engine.validation.protocol.dataset import SubjectFiles, TrialFiles
@@ -30,9 +31,8 @@ from engine.version import __version__
 from engine.video.privacy import BlurRegion, blur_regions
 from engine.video.reader import read_frames
 
-__all__ = ["PDF_NAME", "draw_pictures", "write_study"]
+__all__ = ["draw_pictures", "write_reference", "write_study"]
 
-PDF_NAME = "report.pdf"
 MOMENTS = (("lift_start", "grab"), ("place", "place"), ("stand", "stand"))
 """Events of a trial, and what Figure 2 calls them."""
 SHARES = (0.35, 0.65, 0.95)
@@ -64,6 +64,21 @@ def write_study(
             path.parent.mkdir(parents=True, exist_ok=True)
             with write_aside(path) as aside:
                 aside.write_bytes(content)
+
+
+def write_reference(persons: Sequence[PersonData], out: Path) -> None:
+    """Keep what was measured beside what was estimated, one file per trial."""
+    for person in persons:
+        for trial in person.trials:
+            arrays = {
+                "time_s": trial.time_s,
+                "marker_names": np.array(trial.marker_names),
+                "markers_m": trial.measured_m.astype(np.float32),
+                "angle_names": np.array(trial.angle_names),
+                "angles_deg": trial.reference_deg,
+                "true_angles_deg": trial.truth_deg,
+            }
+            write_arrays(out / REFERENCE_FOLDER / f"{trial.subject}_{trial.label}.npz", arrays)
 
 
 # --------------------------------------------------------------------------- figure 2
