@@ -216,15 +216,17 @@ def blend_depth(own: ViewPose, lifted: ViewPose, share: float) -> ViewPose:
 
 def compare_lifts(options: argparse.Namespace) -> str:
     """Return the tables of angles, by camera and group of persons."""
-    # Rows of other weights don't count.
-    weights = "_".join(_hash(MODEL_DIR / f"{name}_s.onnx") for name in ("mhformer", "d3dp"))
-    rows_file = options.cache / "lifting" / f"{options.solver}_{weights}.csv"
+    rows_file = options.cache / "lifting" / f"{options.solver}.csv"
     rows_file.parent.mkdir(parents=True, exist_ok=True)
     done = pd.read_csv(rows_file) if rows_file.exists() and not options.fresh else pd.DataFrame()
-    known = (
-        set(map(tuple, done[["trial", "camera", "estimator"]].to_numpy())) if len(done) else set()
-    )
-    rows = done.to_dict("records")
+    # Rows of other weights don't count.
+    weights = {name: _hash(MODEL_DIR / f"{name}_s.onnx") for name in ("mhformer", "d3dp")}
+    rows = [
+        row
+        for row in done.to_dict("records")
+        if row["weights"] == weights.get(row["estimator"].split(",")[0].split(" ")[0], "none")
+    ]
+    known = {(row["trial"], row["camera"], row["estimator"]) for row in rows}
     compared = {n: e for n, e in estimators().items() if not options.only or n in options.only}
     persons = options.persons or sorted(
         p.name for p in (options.data / "synthetic_lifts").glob("P*")
@@ -235,7 +237,9 @@ def compare_lifts(options: argparse.Namespace) -> str:
         for name, estimate in compared.items():
             if (video.parent.name, video.stem, name) in known:
                 continue
+            used = weights.get(name.split(",")[0].split(" ")[0], "none")
             rows.append(measure_lift(video, name, estimate, pose, options.solver))
+            rows[-1]["weights"] = used
             pd.DataFrame(rows).to_csv(rows_file, index=False, float_format="%.4f")
         print(video.parent.name, video.stem, flush=True)
     table = pd.DataFrame(rows)
@@ -301,7 +305,7 @@ def summarise(rows: pd.DataFrame) -> str:
         table["change %"] = 100 * (table["mean deg"].to_numpy() / usual.loc[index].to_numpy() - 1)
         table["share"] = rows.groupby(keys, sort=False)["hip_flexion share"].mean()
         if len(keys) == 2:
-            for name in ("H cm", "V cm"):
+            for name in ("angles in 95 %", "H cm", "V cm"):
                 table[name] = rows.groupby(keys, sort=False)[name].mean()
             table["elbow_flexion deg"] = rows.groupby(keys, sort=False)["elbow_flexion deg"].mean()
             table["lifting ms a frame"] = rows.groupby(keys, sort=False)["ms a frame"].median()
