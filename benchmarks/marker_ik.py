@@ -119,6 +119,7 @@ def compare_opensim(data: Path, trial: str) -> list[str]:
     lines: list[str] = []
     for title, markers in (("without noise", make_exact(own)), ("as measured", recording)):
         lines += _same_model(title, markers, own)
+    lines += _accuracies(make_exact(own), own)
     lines += _own_scaling(recording, own)
     return lines + _round_trips(recording, own)
 
@@ -162,6 +163,22 @@ def _same_model(title: str, markers: MarkerRecording, own: MarkerFit) -> list[st
             f"{1000 * run.took_s['ik_cpu'] / n_frames:.2f}, ratio {run.took_s['ik_cpu'] / took:.1f}"
         ),
     ]
+    return lines
+
+
+def _accuracies(markers: MarkerRecording, own: MarkerFit) -> list[str]:
+    """Say what the accuracy asked of OpenSim costs and brings, on markers without noise."""
+    known = table3_angles(own)[1]
+    lines = [
+        "",
+        "OpenSim's accuracy, markers without noise",
+        "accuracy   CPU ms a frame   mean |d|",
+    ]
+    for accuracy in (1e-4, 1e-5, 1e-6):
+        run = run_opensim(markers, own.model, accuracy=accuracy, time_limit_s=3600.0)
+        error = np.abs(table3_angles(as_fit(run, own))[1] - known).mean()
+        took = 1000 * run.took_s["ik_cpu"] / markers.time_s.size
+        lines.append(f"{accuracy:<10.0e} {took:14.2f} {error:10.3f}")
     return lines
 
 
@@ -289,7 +306,18 @@ def compare_truth(data: Path, repetition: str) -> list[str]:
     lines.append(
         f"{'mean of 23 angles':<20} {'':11} {np.mean(every):10.2f} {np.mean(without):16.2f}"
     )
+    shared = [
+        np.concatenate(signed["hip flexion"][2 * i : 2 * i + 2]) - np.tile(extension, 2)
+        for i, extension in enumerate(signed["lumbar extension"])
+    ]
     lines += [
+        "",
+        (
+            "Hip and lumbar flexion together (thigh against thorax): mean signed "
+            f"{np.mean([c.mean() for c in shared]):+.2f}, mean |d| "
+            f"{np.mean([np.abs(c).mean() for c in shared]):.2f}, without offset "
+            f"{np.mean([np.abs(c - np.median(c)).mean() for c in shared]):.2f} deg"
+        ),
         "",
         (
             "Four pelvis markers alone, tilt of their plane - tilt of the bone, minus its value at "

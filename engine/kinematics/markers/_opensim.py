@@ -1,6 +1,6 @@
 """OpenSim's own scaling and inverse kinematics, through a worker process.
 
-Everything OpenSim reads and writes is a file in one folder, by absolute path. The folder goes when
+Everything OpenSim reads and writes is a file in one folder of its own. The folder goes when
 all went well; when something failed it stays, with OpenSim's log in it, and the error names it.
 """
 
@@ -190,25 +190,26 @@ def _write_scale_setup(
     stature_m: float | None,
     mass_kg: float | None,
 ) -> None:
+    # Names alone: the tool puts the folder of its set-up file before whatever path it reads.
     tool = Element("ScaleTool", {"name": "subject"})
     _add(tool, "mass", -1 if mass_kg is None else mass_kg)
     _add(tool, "height", -1 if stature_m is None else 1000.0 * stature_m)
-    _add(_add(tool, "GenericModelMaker"), "model_file", folder / "generic.osim")
+    _add(_add(tool, "GenericModelMaker"), "model_file", "generic.osim")
     scaler = _add(tool, "ModelScaler")
     _add(scaler, "apply", "true")
     _add(scaler, "scaling_order", "measurements")
     _add_measurements(scaler, model, seen)
-    _add(scaler, "marker_file", folder / "static.trc")
+    _add(scaler, "marker_file", "static.trc")
     _add(scaler, "time_range", "0 0.01")
     _add(scaler, "preserve_mass_distribution", "true")
-    _add(scaler, "output_model_file", folder / "sized.osim")
-    _add(scaler, "output_scale_file", folder / "scale_factors.xml")
+    _add(scaler, "output_model_file", "sized.osim")
+    _add(scaler, "output_scale_file", "scale_factors.xml")
     placer = _add(tool, "MarkerPlacer")
     _add(placer, "apply", "true")
     _add_tasks(placer, weights)
-    _add(placer, "marker_file", folder / "static.trc")
+    _add(placer, "marker_file", "static.trc")
     _add(placer, "time_range", "0 0.01")
-    _add(placer, "output_model_file", folder / "scaled.osim")
+    _add(placer, "output_model_file", "scaled.osim")
     _write_document(tool, folder / "scale.xml")
 
 

@@ -19,7 +19,7 @@ def test_every_solver_is_found_by_its_name():
 
 
 def test_an_unknown_solver_is_refused_with_the_known_ones():
-    with pytest.raises(ConfigError, match=r"'magic'; known: geometric, least-squares, udeas"):
+    with pytest.raises(ConfigError, match=r"'magic'; known: geometric, least-squares, markers"):
         select_solver("magic")
 
 
