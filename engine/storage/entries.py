@@ -134,8 +134,15 @@ class Filters:
             found.append(Trial.id.in_(self.ids))
         found += [_has_tag(tag) for tag in self.tags]
         if with_level and self.level is not None:
-            found.append(_has_level(self.level))
+            found.append(_has_level(self.wanted_levels))
         return found
+
+    @property
+    def wanted_levels(self) -> frozenset[FlagLevel | None]:
+        """The levels asked for; all of them without a choice."""
+        if self.level is None:
+            return frozenset({*FlagLevel, None})
+        return frozenset({self.level} if isinstance(self.level, FlagLevel) else self.level)
 
 
 def find_entries(
@@ -160,17 +167,17 @@ def find_entries(
 
 
 def count_levels(session: Session, filters: Filters) -> dict[FlagLevel | None, int]:
-    """Return how many matching trials there are of each level."""
+    """Return how many matching trials there are of each level, whatever level is asked for."""
     level = case((Trial.state == TrialState.DONE, Result.worst_level))
-    statement = join_current(select(level, func.count()))
+    statement = _join_asked(select(level, func.count()), filters)
     rows = session.execute(statement.where(*filters.conditions(with_level=False)).group_by(level))
     return {None if name is None else FlagLevel(name): count for name, count in rows}
 
 
-def count_matches(session: Session, filters: Filters) -> int:
-    """Return how many trials match."""
-    statement = join_current(select(func.count()))
-    return session.scalar(statement.where(*filters.conditions())) or 0
+def is_any(session: Session) -> bool:
+    """Whether there is any trial."""
+    statement = select(Trial.id).where(*Filters().conditions()).limit(1)
+    return session.scalar(statement) is not None
 
 
 def count_choices(session: Session) -> Choices:
@@ -201,6 +208,17 @@ def join_current(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]
     )
 
 
+def _join_asked(statement: Select[*tuple[Any, ...]], filters: Filters) -> Select[*tuple[Any, ...]]:
+    """Join a trial with its result, and else only with what is asked for: counts look at all."""
+    current = (Result.trial_id == Trial.id) & (Result.version == Trial.result_version)
+    statement = statement.select_from(Trial).outerjoin(Result, current)
+    if filters.site is not None or filters.job is not None:
+        statement = statement.join(Job, Trial.job_id == Job.id).join(Site, Job.site_id == Site.id)
+    if filters.person is not None:
+        statement = statement.outerjoin(Person, Trial.person_id == Person.id)
+    return statement
+
+
 # --------------------------------------------------------------------------- conditions
 
 
@@ -225,8 +243,7 @@ def _has_tag(name: str) -> ColumnElement[bool]:
     )
 
 
-def _has_level(level: FlagLevel | Collection[FlagLevel | None]) -> ColumnElement[bool]:
-    wanted = {level} if isinstance(level, FlagLevel) else set(level)
+def _has_level(wanted: Collection[FlagLevel | None]) -> ColumnElement[bool]:
     named = (Trial.state == TrialState.DONE) & Result.worst_level.in_(
         [one.value for one in wanted if one is not None]
     )

@@ -74,8 +74,8 @@ from engine.storage.entries import (
     TrialPage,
     count_choices,
     count_levels,
-    count_matches,
     find_entries,
+    is_any,
 )
 from engine.storage.overview import Overview, read_overview
 from engine.storage.results import read_document
@@ -164,7 +164,7 @@ class Library:
         """Whether there is no trial yet."""
         refresh(self.trials, self.database)
         with self.database.reading() as session:
-            return not count_matches(session, Filters())
+            return not is_any(session)
 
     @property
     def is_read_only(self) -> bool:
@@ -241,7 +241,7 @@ class Library:
         entries = self._find(filters, order, limit, offset)
         with self.database.reading() as session:
             levels = count_levels(session, filters)
-            total = sum(levels.values()) if level is None else count_matches(session, filters)
+        total = sum(levels.get(one, 0) for one in filters.wanted_levels)
         return TrialPage(entries, total, levels)
 
     def choices(self) -> Choices:
