@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import streamlit as st
 
@@ -62,7 +62,6 @@ def show_renewal(trial_id: str) -> None:
 def _poll(queue: JobQueue, trial_id: str) -> None:
     running = [job for job in queue.renewals(trial_id) if not job.state.is_over]
     if not running:
-        cache.uncorrected_angles.clear()
         st.rerun()
     with st.container(border=True):
         st.markdown("**This trial is being assessed anew**")
@@ -95,13 +94,14 @@ def show_corrections(trial_id: str, result: StoredResult, record: TrialRecord) -
         draft = stored
         state.set_review_value(trial_id, "draft", draft)
         state.set_review_value(trial_id, "draft_of", result.document["created"])
+        cache.uncorrected_angles.clear()  # of an earlier version, maybe
     number = f": {labels.count(len(stored.all), 'correction')}" if stored.all else ""
     is_open = bool(state.review_value(trial_id, "is_correcting", False)) or draft != stored
     with st.expander(f"Put something right{number}", icon=":material/edit_note:", expanded=is_open):
         st.caption(
-            "Move the player's cursor, press “From here” and “To here” below it, and say what is "
-            "wrong. The video and what was measured stay as they are; every correction can be "
-            "taken back."
+            "Move the player's cursor, press “Correct from here” and “Correct to here” below it, "
+            "and say what is wrong. What was seen in the video stays as it is; every correction "
+            "can be taken back."
         )
         kind = st.segmented_control(
             "What is wrong?",
@@ -112,7 +112,10 @@ def show_corrections(trial_id: str, result: StoredResult, record: TrialRecord) -
             key=state.review_key(trial_id, "kind"),
         )
         ask = {"lift": _ask_lift, "sides": _ask_sides, "person": _ask_person}[kind or "lift"]
-        ask(trial_id, result)
+        try:
+            ask(trial_id, result)
+        except EngineError as error:
+            show_problem(str(error))
         show_problem(state.review_value(trial_id, "wrong"))
         state.set_review_value(trial_id, "wrong", "")
         _list_corrections(trial_id, stored, draft)
@@ -496,24 +499,28 @@ def _ask_videos(trial_id: str, result: StoredResult) -> tuple[Path, ...]:
         seen = state.review_value(trial_id, f"transfer-{number}")
         if seen != arrived.file_id:
             state.set_review_value(trial_id, f"transfer-{number}", arrived.file_id)
-            path = cache.save_upload(arrived, arrived.name)
-            problem = _find_mismatch(path, view.info.sha256)
-            state.set_review_value(trial_id, f"video-{number}", None if problem else path)
+            path, problem = _receive(arrived, view.info.sha256)
+            state.set_review_value(trial_id, f"video-{number}", path)
             state.set_review_value(trial_id, f"mismatch-{number}", problem)
-            if problem:
-                path.unlink()
         show_problem(state.review_value(trial_id, f"mismatch-{number}"))
     return _find_videos(trial_id, result)
 
 
-def _find_mismatch(path: Path, sha256: str) -> str:
+def _receive(arrived: Any, sha256: str) -> tuple[Path | None, str]:
+    """Put an upload on disk; return where it lies, or why it is not the video that is wanted."""
+    try:
+        path = cache.save_upload(arrived, arrived.name)
+    except EngineError as error:
+        return None, str(error)
     try:
         found = cache.video_facts(path).sha256
     except EngineError as error:
-        return str(error)
+        path.unlink()
+        return None, str(error)
     if found == sha256:
-        return ""
-    return (
+        return path, ""
+    path.unlink()
+    return None, (
         f"This is another video than the one that was assessed: expected the fingerprint "
         f"{sha256[:16]}, got {found[:16]}. Choose the original file, as it was uploaded."
     )

@@ -1,6 +1,7 @@
-"""Wording, units and risk colours: what the pages say, in one place.
+"""Wording and units: what the pages say, in one place.
 
-Plain words for users; the field's terms stand in the help texts.
+What reports and the command line say too stands in `engine.wording`. Plain words for users; the
+field's terms stand in the help texts.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from engine.datatypes import CheckLevel, Coupling, FlagLevel, Measurement, Provenance, RiskInput
+from engine.datatypes import CheckLevel, Coupling, FlagLevel, Measurement, RiskInput
 from engine.errors import ConfigError
 from engine.jobs.local import JobState
 from engine.kinematics.angles import describe_angle
+from engine.wording import ENGLISH, LevelWords
 
+WORDS = ENGLISH
+"""The words that reports and the command line use too."""
 MISSING = "not seen"
 
 
@@ -32,14 +36,20 @@ class LevelLabel:
     css: str
 
 
-LEVELS: dict[FlagLevel, LevelLabel] = {
-    FlagLevel.HIGH: LevelLabel("High risk", "Change the work before it goes on.", "high"),
-    FlagLevel.REVIEW: LevelLabel("Needs review", "A professional should look at this.", "review"),
-    FlagLevel.OK: LevelLabel("No concern", "This check found nothing to act on.", "ok"),
-}
-NOT_JUDGED = LevelLabel("Not judged", "There is not enough to judge this.", "none")
+_CSS = {FlagLevel.HIGH: "high", FlagLevel.REVIEW: "review", FlagLevel.OK: "ok", None: "none"}
+_CHECK_CSS = {CheckLevel.GREEN: "ok", CheckLevel.AMBER: "review", CheckLevel.RED: "high"}
 
-REVIEWS: dict[str, str] = {"accepted": "accepted", "rejected": "rejected", "open": "not reviewed"}
+
+def _label(words: LevelWords, css: str) -> LevelLabel:
+    return LevelLabel(words.word, words.meaning, css)
+
+
+LEVELS: dict[FlagLevel, LevelLabel] = {
+    level: _label(words, _CSS[level]) for level, words in WORDS.levels.items() if level is not None
+}
+NOT_JUDGED = _label(WORDS.levels[None], _CSS[None])
+
+REVIEWS = WORDS.reviews
 """What a person said to a flag."""
 ANSWERS: dict[str, str] = {
     "accepted": "I agree",
@@ -64,9 +74,7 @@ LIMBS: dict[str, str] = {
 """What can change sides together."""
 
 CHECK_LEVELS: dict[CheckLevel, LevelLabel] = {
-    CheckLevel.GREEN: LevelLabel("Trusted", "The cameras agree with the world.", "ok"),
-    CheckLevel.AMBER: LevelLabel("With care", "Something about the cameras is doubtful.", "review"),
-    CheckLevel.RED: LevelLabel("Not trusted", "These cameras can't be right.", "high"),
+    level: _label(words, _CHECK_CSS[level]) for level, words in WORDS.checks.items()
 }
 SOURCES: dict[str, str] = {
     "person": "from the moving person",
@@ -100,30 +108,7 @@ COUPLINGS: dict[Coupling, str] = {
     Coupling.POOR: "Poor: bulky, slippery, sharp or sagging; hard to hold",
 }
 
-PROVENANCE: dict[Provenance, str] = {
-    Provenance.MEASURED: "measured in the video",
-    Provenance.USER: "entered by you",
-    Provenance.DERIVED: "calculated",
-    Provenance.ASSUMED: "assumed",
-}
-
-STAGES: dict[str, str] = {
-    "": "Waiting",
-    "start": "Starting",
-    "probe": "Looking at the video",
-    "video": "Reading the video",
-    "subject": "Finding the person",
-    "pose": "Following the person's joints",
-    "cameras": "Placing the person in the room",
-    "scene": "Placing the person in the room",
-    "correction": "Cleaning the movement",
-    "kinematics": "Working out the joint angles",
-    "events": "Finding the lifts",
-    "ergonomics": "Judging the lifts",
-    "risk": "Judging the lifts",
-    "overlay": "Drawing the annotated video",
-    "write": "Saving the result",
-}
+PROVENANCE = WORDS.provenance
 
 JOB_STATES: dict[JobState, str] = {
     JobState.QUEUED: "Waiting for its turn",
@@ -135,27 +120,20 @@ JOB_STATES: dict[JobState, str] = {
 }
 
 JOINTS: dict[str, tuple[str, ...]] = {
-    "Trunk": ("trunk_flexion", "trunk_lateral_bend", "trunk_twist"),
-    "Lower back": ("lumbar_flexion", "lumbar_bending", "lumbar_rotation"),
-    "Pelvis": ("pelvis_tilt", "pelvis_list", "pelvis_rotation"),
-    "Neck": ("neck_flexion",),
-    "Hips": ("hip_flexion_l", "hip_flexion_r"),
-    "Hips, sideways": ("hip_adduction_l", "hip_adduction_r"),
-    "Knees": ("knee_flexion_l", "knee_flexion_r"),
-    "Ankles": ("ankle_dorsiflexion_l", "ankle_dorsiflexion_r"),
-    "Shoulders": ("shoulder_flexion_l", "shoulder_flexion_r"),
-    "Shoulders, sideways": ("shoulder_adduction_l", "shoulder_adduction_r"),
-    "Elbows": ("elbow_flexion_l", "elbow_flexion_r"),
+    WORDS.joints["trunk"]: ("trunk_flexion", "trunk_lateral_bend", "trunk_twist"),
+    WORDS.joints["lower_back"]: ("lumbar_flexion", "lumbar_bending", "lumbar_rotation"),
+    WORDS.joints["pelvis"]: ("pelvis_tilt", "pelvis_list", "pelvis_rotation"),
+    WORDS.joints["neck"]: ("neck_flexion",),
+    WORDS.joints["hips"]: ("hip_flexion_l", "hip_flexion_r"),
+    WORDS.joints["hips_sideways"]: ("hip_adduction_l", "hip_adduction_r"),
+    WORDS.joints["knees"]: ("knee_flexion_l", "knee_flexion_r"),
+    WORDS.joints["ankles"]: ("ankle_dorsiflexion_l", "ankle_dorsiflexion_r"),
+    WORDS.joints["shoulders"]: ("shoulder_flexion_l", "shoulder_flexion_r"),
+    WORDS.joints["shoulders_sideways"]: ("shoulder_adduction_l", "shoulder_adduction_r"),
+    WORDS.joints["elbows"]: ("elbow_flexion_l", "elbow_flexion_r"),
 }
 
-PLAIN_ANGLES: dict[str, str] = {
-    "trunk_flexion": "Forward bend",
-    "trunk_lateral_bend": "Sideways bend",
-    "trunk_twist": "Twist",
-    "lumbar_flexion": "Forward bend of the lower back",
-    "lumbar_bending": "Sideways bend of the lower back",
-    "lumbar_rotation": "Twist of the lower back",
-}
+PLAIN_ANGLES = WORDS.angles
 
 PHASES: dict[str, str] = {
     "reach": "Reach",
@@ -178,11 +156,14 @@ PHASE_HELP: dict[str, str] = {
     "ascent": "Back to standing",
 }
 
+_COVERAGE_HELP = {
+    "measured": "Samples the estimator saw and the checks kept.",
+    "repaired": "Samples whose left and right had been swapped.",
+    "filled": "Short gaps that were bridged.",
+    "missing": "Left empty: nothing is invented.",
+}
 COVERAGE: dict[str, tuple[str, str]] = {
-    "measured": ("seen", "Samples the estimator saw and the checks kept."),
-    "repaired": ("repaired", "Samples whose left and right had been swapped."),
-    "filled": ("filled in", "Short gaps that were bridged."),
-    "missing": ("not seen", "Left empty: nothing is invented."),
+    key: (word, _COVERAGE_HELP[key]) for key, word in WORDS.coverage.items()
 }
 
 FACTORS: dict[str, tuple[str, str]] = {
@@ -196,23 +177,6 @@ FACTORS: dict[str, tuple[str, str]] = {
 
 VALUES: dict[str, str] = {"rnle": "Lifting index"}
 """What the number of a method is called, where the method itself does not say."""
-
-METHODS: dict[str, str] = {
-    "rnle": "NIOSH lifting equation",
-    "reba": "REBA",
-    "rula": "RULA",
-    "owas": "OWAS",
-    "posture_zones": "Posture zones",
-    "acgih": "ACGIH limit",
-    "iso11228": "ISO 11228-1",
-    "kim_lhc": "Key indicator method",
-    "l5s1": "Low-back load",
-    "lifft": "LiFFT",
-    "lm_mmh": "Liberty Mutual",
-    "rnle_job": "Lifting index of the job",
-    "shoulder_tool": "Shoulder Tool",
-    "disagreement": "All methods",
-}
 
 INPUTS: dict[str, str] = {
     "D": "Travel (D)",
@@ -433,12 +397,12 @@ def name_angle(name: str) -> str:
 
 def name_stage(stage: str) -> str:
     """Return the running step in plain words."""
-    return STAGES.get(stage, stage.replace("_", " ").capitalize())
+    return WORDS.name_stage(stage)
 
 
 def name_method(method: str) -> str:
     """Return what a risk method is called."""
-    return METHODS.get(method, method.replace("_", " "))
+    return WORDS.name_method(method)
 
 
 def format_value_cm(value: float | None) -> str:
@@ -602,7 +566,7 @@ PLAYER: dict[str, Any] = {
 
 PLAYER_ACTIONS: dict[str, str] = {
     "note": "Note at this moment",
-    "from": "From here",
-    "to": "To here",
+    "from": "Correct from here",
+    "to": "Correct to here",
 }
 """What can be asked for at the time of the cursor."""

@@ -17,6 +17,7 @@ from engine.cli_start import is_own_handler
 from engine.datatypes import Lift, LiftEnd, Measurement, ProgressCallback, RiskResult
 from engine.errors import Cancelled
 from engine.storage.results import StoredResult
+from engine.wording import ENGLISH
 
 __all__ = [
     "STAGES",
@@ -28,22 +29,7 @@ __all__ = [
     "summarise",
 ]
 
-STAGES: Mapping[str, str] = {
-    "start": "Starting",
-    "probe": "Looking at the video",
-    "video": "Reading the video",
-    "subject": "Finding the person",
-    "pose": "Following the person's joints",
-    "cameras": "Placing the person in the room",
-    "scene": "Placing the person in the room",
-    "correction": "Cleaning the movement",
-    "kinematics": "Working out the joint angles",
-    "events": "Finding the lifts",
-    "ergonomics": "Judging the lifts",
-    "risk": "Judging the lifts",
-    "overlay": "Drawing the annotated video",
-    "write": "Saving the result",
-}
+STAGES: Mapping[str, str] = ENGLISH.stages
 CLEAN_UP_S = 3.0
 """So long further presses of Ctrl-C are ignored while the work is undone."""
 CANCELLED_TEXT = "The assessment was stopped; nothing was kept."
@@ -51,7 +37,7 @@ CANCELLED_TEXT = "The assessment was stopped; nothing was kept."
 
 def name_stage(stage: str) -> str:
     """Return a stage in plain words."""
-    return STAGES.get(stage, stage.replace("_", " ").capitalize())
+    return ENGLISH.name_stage(stage)
 
 
 @contextlib.contextmanager

@@ -53,15 +53,8 @@ NO_DYNAMIC_NOTE = "With accelerations: not told, since the changed movement was 
 
 Place = Literal["H_cm", "V_cm", "A_deg"]
 ENDS: tuple[Literal["origin", "destination"], ...] = ("origin", "destination")
-TASK_FIELDS = (
-    "load_kg",
-    "hands",
-    "coupling",
-    "frequency_per_min",
-    "duration_h",
-    "recovery_h",
-    "destination_control",
-)
+TASK_FIELDS = tuple(f.name for f in fields(Task) if f.name != "notes")
+"""What a change can name of the work."""
 
 
 @dataclass(frozen=True)

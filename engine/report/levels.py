@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from engine.datatypes import FlagLevel
@@ -11,6 +10,7 @@ from engine.report.fonts import BOLD, text_width
 from engine.report.layout import BRAND, QUIET, SMALL, Style
 from engine.report.sheet import Sheet
 from engine.report.wording import Words
+from engine.wording import LEVEL_COLOURS
 
 __all__ = [
     "LEFT",
@@ -24,12 +24,6 @@ __all__ = [
     "write_line",
 ]
 
-LEVEL_COLOURS: Mapping[FlagLevel | None, str] = {
-    FlagLevel.HIGH: "#b3350a",
-    FlagLevel.REVIEW: "#8a5a00",
-    FlagLevel.OK: "#00704f",
-    None: "#566472",
-}
 LEFT, RIGHT = "#0072b2", "#c24e00"
 """The subject's sides, in Okabe and Ito's colours."""
 TICK = Style(size=6.0, lead=7.5, colour=QUIET)

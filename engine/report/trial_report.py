@@ -329,11 +329,9 @@ class _TrialPage:
 
     def _coverage(self) -> Stack:
         facts, words = self._facts, self._words
-        named = (("measured", "measured"), ("repaired", "repaired"), ("filled", "filled"))
-        pairs = (*named, ("missing", "lost"))
         shares = tuple(
-            (key, words[word], facts.coverage[key])
-            for key, word in pairs
+            (key, word, facts.coverage[key])
+            for key, word in words.vocabulary.coverage.items()
             if not math.isnan(facts.coverage[key])
         )
         bar: Block = Paragraph.of(words["coverage_unknown"], SMALL)

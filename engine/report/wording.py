@@ -11,8 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from engine import wording
 from engine.datatypes import FlagLevel, Measurement
 from engine.errors import ConfigError
+from engine.wording import Vocabulary
 
 __all__ = ["LANGUAGES", "NO_BREAK", "Words", "select_words"]
 
@@ -21,40 +23,42 @@ NO_BREAK = "\u00a0"
 
 @dataclass(frozen=True)
 class Words:
-    """All fixed text of one language."""
+    """All fixed text of one language: the program's words, and what only reports say."""
 
-    language: str
+    vocabulary: Vocabulary
     text: Mapping[str, str]
-    levels: Mapping[FlagLevel | None, tuple[str, str]]
-    methods: Mapping[str, str]
-    months: tuple[str, ...]
+
+    @property
+    def language(self) -> str:
+        """Its code."""
+        return self.vocabulary.language
 
     def __getitem__(self, key: str) -> str:
-        """Return one text."""
-        return self.text[key]
+        """Return one text; in English where this language has none."""
+        return self.text[key] if key in self.text else ENGLISH.text[key]
 
     def level(self, level: FlagLevel | None) -> str:
         """Return the word of a level; None: nothing could be judged."""
-        return self.levels[level][0]
+        return self.vocabulary.levels[level].word
 
     def meaning(self, level: FlagLevel | None) -> str:
         """Return what a level means."""
-        return self.levels[level][1]
+        return self.vocabulary.levels[level].meaning
 
     def method(self, name: str) -> str:
         """Return what a method is called."""
-        return self.methods.get(name, name.replace("_", " "))
+        return self.vocabulary.name_method(name)
 
     def count(self, number: int, noun: str) -> str:
         """Return a number with its noun, in the right number."""
-        return f"{number} {self.text[noun if number == 1 else f'{noun}s']}"
+        return f"{number} {self[noun if number == 1 else f'{noun}s']}"
 
     def number(self, value: float, digits: int = 0) -> str:
         """Return a number with a true minus sign; words where there is none."""
         if math.isnan(value):
-            return self.text["missing"]
+            return self["missing"]
         if math.isinf(value):
-            return self.text["infinite"]
+            return self["infinite"]
         shown = f"{value:.{digits}f}"
         return shown.replace("-", "−") if float(shown) else f"{0:.{digits}f}"
 
@@ -69,19 +73,17 @@ class Words:
         """Return an interval of about 95 %; words where it is unknown or without end."""
         low, high = interval
         if math.isnan(low) or math.isnan(high):
-            return self.text["range_unknown"]
+            return self["range_unknown"]
         if math.isinf(low):
-            return self.text["infinite"]
+            return self["infinite"]
         if math.isinf(high):
-            return self.text["or_more"].format(low=self.number(low, digits))
-        return self.text["from_to"].format(
-            low=self.number(low, digits), high=self.number(high, digits)
-        )
+            return self["or_more"].format(low=self.number(low, digits))
+        return self["from_to"].format(low=self.number(low, digits), high=self.number(high, digits))
 
     def measurement(self, measured: Measurement, unit: str, digits: int = 0) -> str:
         """Return a measured length or angle with its interval of about 95 %; never below 0."""
         if measured.is_missing:
-            return self.text["missing"]
+            return self["missing"]
         shown = self.quantity(measured.value, unit, digits)
         low, high = measured.interval()
         if math.isnan(low):
@@ -91,9 +93,9 @@ class Words:
     def date(self, moment: datetime | None, *, with_time: bool = False) -> str:
         """Return a date; the time is UTC."""
         if moment is None:
-            return self.text["no_date"]
+            return self["no_date"]
         moment = moment.astimezone(UTC)
-        day = f"{moment.day} {self.months[moment.month - 1]} {moment.year}"
+        day = f"{moment.day} {self.vocabulary.months[moment.month - 1]} {moment.year}"
         return f"{day}, {moment:%H:%M} UTC" if with_time else day
 
     def window(self, start_s: float, end_s: float) -> str:
@@ -101,41 +103,12 @@ class Words:
         if math.isnan(start_s):
             return ""
         if math.isnan(end_s):
-            return self.text["at_time"].format(time=self.number(start_s, 1))
-        return self.text["window"].format(start=self.number(start_s, 1), end=self.number(end_s, 1))
+            return self["at_time"].format(time=self.number(start_s, 1))
+        return self["window"].format(start=self.number(start_s, 1), end=self.number(end_s, 1))
 
 
 ENGLISH = Words(
-    language="en",
-    levels={
-        FlagLevel.HIGH: ("High risk", "Change the work before it goes on."),
-        FlagLevel.REVIEW: ("Needs review", "A professional should look at this."),
-        FlagLevel.OK: ("No concern", "The checks found nothing to act on."),
-        None: ("Not judged", "There is not enough to judge this."),
-    },
-    months=("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"),
-    methods={
-        "rnle": "NIOSH lifting equation",
-        "rnle_job": "Lifting index of the job",
-        "rnle_vli": "Variable lifting index",
-        "reba": "REBA",
-        "rula": "RULA",
-        "owas": "OWAS",
-        "posture_zones": "Posture zones",
-        "acgih": "ACGIH limit",
-        "iso11228": "ISO 11228-1",
-        "kim_lhc": "Key indicator method",
-        "l5s1": "Low-back load",
-        "l5s1_disc": "Low-back load, disc",
-        "lifft": "LiFFT",
-        "lm_mmh": "Liberty Mutual",
-        "lmm": "Lumbar motion",
-        "shoulder_tool": "Shoulder Tool",
-        "coverage": "Measurement",
-        "lifts": "Lifts",
-        "methods": "Methods",
-        "disagreement": "All methods",
-    },
+    vocabulary=wording.ENGLISH,
     text={
         # numbers
         "missing": "not measured",
@@ -230,10 +203,6 @@ ENGLISH = Words(
         "no_value": "no value",
         "no_methods": "No other method was part of this assessment.",
         "coverage": "How much was seen",
-        "measured": "seen",
-        "repaired": "sides put right",
-        "filled": "filled in",
-        "lost": "not seen",
         "coverage_unknown": "How much of the body was seen is not known.",
         "warnings": "Warnings of the measurement",
         "notes": "Keep in mind",

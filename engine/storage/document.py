@@ -71,15 +71,8 @@ SCHEMA_VERSION = 1
 
 SCHEMA_PATH = Path(__file__).with_name("trial.schema.json")
 
-TASK_KEYS = (
-    "load_kg",
-    "hands",
-    "coupling",
-    "frequency_per_min",
-    "duration_h",
-    "recovery_h",
-    "destination_control",
-)
+TASK_KEYS = tuple(f.name for f in dataclasses.fields(Task) if f.name != "notes")
+"""What was told of the work, but for free words."""
 
 
 def encode_number(value: float) -> float | None:

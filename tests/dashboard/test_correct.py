@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -32,7 +33,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     pose = make_view_pose(n_frames=60)
     other = PersonBox(1000.0, 200.0, 1100.0, 600.0, state=SubjectState.TRACKED)
-    object.__setattr__(pose, "others", ((other,),) * 60)
+    box = np.tile([300.0, 100.0, 600.0, 700.0], (60, 1))
+    pose = dataclasses.replace(pose, box=box, others=((other,),) * 60)
     trial = make_trial(label="Crate", subject=Subject(label="P07", stature_m=1.75))
     overlay = write_clip(folder / "overlay.mp4", seconds=2.0)
     return write_result(assess_pose(trial, pose), folder / "result", overlay=overlay)
@@ -183,7 +185,7 @@ def test_another_person_is_chosen_and_the_video_is_asked_for(app, library, trial
     open_trial(app, trial_id)
     choose(app, "person")
     assert not app.exception
-    assert len(app.get("imgs")) == 1
+    assert len(app.get("image")) == 1
     whom = next(r for r in app.radio if r.label == "Whom to follow")
     assert whom.options == ["1: followed now", "2", "Somebody else: draw a box"]
     assert whom.value == 1, "the one who is not followed yet"
