@@ -4,12 +4,17 @@ Run from the project folder::
 
     python benchmarks/marker_ik.py opensim --out benchmarks/results/marker_ik_opensim.txt
     python benchmarks/marker_ik.py truth --out benchmarks/results/marker_ik_truth.txt
+    python benchmarks/marker_ik.py reference --out benchmarks/results/marker_ik_reference.txt
 
 `opensim` needs the extra of that name. It fits the same model to the same markers with both: once
 markers without noise, made by the model itself in the movement of a real fit (so that the true
 angles are known), once the markers as measured. Then each scales the model by itself. The files
 that LiftLens writes are read back by OpenSim's own reader. Times are CPU seconds of one core, which
 other work on the machine lengthens for both alike.
+
+`reference` fits models that others scaled (of Rajagopal et al., as changed by Lai and Uhlrich) to
+recordings of real squats, and compares with the angles published beside them; those come from
+AddBiomechanics, which weighs forces and the whole clip too, so that they are no truth.
 
 `truth` compares the angles of the built-in fit with those of the bones, on the synthetic lifts of
 the training persons. Nothing is tuned on the test persons, and they are not read.
@@ -26,6 +31,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,14 +44,17 @@ from engine.kinematics.markers import (
     filter_markers,
     fit_markers,
     keypoints_from_markers,
+    read_marker_model,
     read_marker_trc,
     resample_markers,
     table3_angles,
     write_coordinates_mot,
     write_marker_trc,
 )
-from engine.kinematics.markers._opensim import OpenSimRun, run_opensim
+from engine.kinematics.markers._opensim import OpenSimRun, read_coordinates_mot, run_opensim
 from engine.skeletons import get_skeleton
+from engine.validation.reference.base import Recording
+from engine.validation.reference.trc import read_trc
 
 ROOT = Path(__file__).resolve().parents[1]
 DEFAULT_DATA = ROOT.parent / "shared" / "data" / "synthetic_lifts"
@@ -261,6 +270,64 @@ def _round_trips(recording: MarkerRecording, fit: MarkerFit) -> list[str]:
     ]
 
 
+# --------------------------------------------------------------------------- reference
+
+REFERENCE_TRIALS = (("opencap_subject4", "squats1"), ("double_leg_squat", "DLS01"))
+REFERENCE_ROWS = {
+    "hip flexion": "hip_flexion_*",
+    "hip adduction": "hip_adduction_*",
+    "hip rotation": "hip_rotation_*",
+    "knee flexion": "knee_angle_*",
+    "ankle flexion": "ankle_angle_*",
+    "lumbar extension": "lumbar_extension",
+    "lumbar bending": "lumbar_bending",
+    "lumbar rotation": "lumbar_rotation",
+    "arm flexion": "arm_flex_*",
+    "arm adduction": "arm_add_*",
+    "arm rotation": "arm_rot_*",
+    "elbow flexion": "elbow_flex_*",
+}
+
+
+def compare_reference(data: Path) -> list[str]:
+    lines: list[str] = []
+    for folder, trial in REFERENCE_TRIALS:
+        base = data.parent / "reference" / folder
+        recording = read_trc(base / f"{trial}.trc")
+        model = read_marker_model(base / "model_scaled.osim")
+        fit, took = timed(
+            partial(
+                fit_markers, recording.time_s, recording.position, recording.labels, model=model
+            ),
+            repeats=1,
+        )
+        _, published = read_coordinates_mot(base / f"{trial}_ik.mot", fit.coordinate_names)
+        factor = np.where(model.tree.is_translation, 1.0, np.degrees(1.0))
+        own = 1000 * float(np.sqrt(np.nanmean(fit.residual_m**2)))
+        theirs = rms_mm(model, _as_markers(recording), np.nan_to_num(published))
+        lines += [
+            "",
+            f"{folder}, {trial}: {recording.time_s.size} frames",
+            f"marker distance (RMS), mm: built-in {own:.2f}, published angles {theirs:.2f}",
+            f"CPU ms a frame: {1000 * took / recording.time_s.size:.2f}",
+            "angle, deg            median of d   mean |d|   range of motion",
+        ]
+        for row, pattern in REFERENCE_ROWS.items():
+            names = [pattern.replace("*", s) for s in ("lr" if "*" in pattern else " ")]
+            columns = [fit.coordinate_names.index(n) for n in names]
+            curve = (published * factor)[:, columns]
+            d = fit.coordinates[:, columns] - curve
+            lines.append(
+                f"{row:<22} {np.median(d):+10.2f} {np.abs(d).mean():10.2f} "
+                f"{np.ptp(curve, axis=0).mean():14.1f}"
+            )
+    return lines
+
+
+def _as_markers(recording: Recording) -> MarkerRecording:
+    return MarkerRecording(recording.time_s, recording.position, recording.labels, 100.0)
+
+
 # --------------------------------------------------------------------------- truth
 
 
@@ -383,21 +450,27 @@ def _pelvis_of_markers(recording: MarkerRecording, truth: np.lib.npyio.NpzFile) 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=("opensim", "truth"))
+    parser.add_argument("part", choices=("opensim", "truth", "reference"))
     parser.add_argument("--data", type=Path, default=DEFAULT_DATA)
     parser.add_argument("--trial", default="P01_FK_01", help="of a training person")
     parser.add_argument("--repetition", default="01")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     with threadpool_limits(1):
-        lines = (
-            compare_opensim(args.data, args.trial)
-            if args.part == "opensim"
-            else compare_truth(args.data, args.repetition)
-        )
-    what = f"trial {args.trial}" if args.part == "opensim" else "training persons"
+        if args.part == "opensim":
+            what, lines = (
+                f"synthetic lifts, trial {args.trial}",
+                compare_opensim(args.data, args.trial),
+            )
+        elif args.part == "truth":
+            what, lines = (
+                "synthetic lifts, training persons",
+                compare_truth(args.data, args.repetition),
+            )
+        else:
+            what, lines = "real squats", compare_reference(args.data)
     head = [
-        f"Inverse kinematics of 45 markers, synthetic lifts, {what}; no random numbers.",
+        f"Inverse kinematics of skin markers, {what}; no random numbers.",
         f"python benchmarks/marker_ik.py {args.part}",
         (
             f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "

@@ -2,7 +2,12 @@
 
 from engine.kinematics.markers.fit import MarkerFit, fit_markers, table3_angles
 from engine.kinematics.markers.keypoints import keypoints_from_markers
-from engine.kinematics.markers.model import MarkerModel, build_marker_model, scale_to_person
+from engine.kinematics.markers.model import (
+    MarkerModel,
+    build_marker_model,
+    read_marker_model,
+    scale_to_person,
+)
 from engine.kinematics.markers.mot import write_coordinates_mot
 from engine.kinematics.markers.recording import (
     MarkerRecording,
@@ -19,6 +24,7 @@ __all__ = [
     "filter_markers",
     "fit_markers",
     "keypoints_from_markers",
+    "read_marker_model",
     "read_marker_trc",
     "resample_markers",
     "scale_to_person",

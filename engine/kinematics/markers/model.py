@@ -37,6 +37,7 @@ __all__ = [
     "Measurement",
     "build_marker_model",
     "default_weights",
+    "read_marker_model",
     "scale_to_person",
 ]
 
@@ -322,6 +323,33 @@ def build_marker_model(
         marker_set=marker_set,
         weights={**default_weights(chosen), **(weights or {})},
         source=DEFAULT_MODEL if model is None else Path(model).resolve(),
+    )
+
+
+def read_marker_model(
+    path: str | Path, *, weights: Mapping[str, float] | None = None
+) -> MarkerModel:
+    """Read a model that is scaled already and has markers of its own.
+
+    Parameters
+    ----------
+    path
+        An OpenSim 4 model, such as `ScaleTool` leaves it.
+    weights
+        Marker to weight; 1 where absent.
+
+    Raises
+    ------
+    DataError
+        If the file is no OpenSim 4 model, uses joints that are not supported, or has no markers.
+    """
+    model = read_osim(path)
+    if not model.markers:
+        raise DataError(
+            f"The model {Path(path).name} has no markers; scale it with its marker set first."
+        )
+    return MarkerModel(
+        model=model, marker_set="", weights=dict(weights or {}), source=Path(path).resolve()
     )
 
 

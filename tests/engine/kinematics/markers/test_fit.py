@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from engine.errors import ConfigError, DataError, ShapeError
-from engine.kinematics.markers import fit_markers, table3_angles, write_coordinates_mot
+from engine.kinematics.markers import (
+    fit_markers,
+    read_marker_model,
+    table3_angles,
+    write_coordinates_mot,
+)
 from engine.kinematics.markers._opensim import read_coordinates_mot
 from engine.kinematics.markers.fit import find_standing
+from engine.kinematics.markers.model import DEFAULT_MODEL
+from engine.kinematics.markers.osim_writer import write_osim
 from tests.engine.kinematics.markers.builders import SIZES, make_lift
 
 
@@ -190,6 +197,19 @@ def test_motion_files_in_radians_with_paths_are_read(tmp_path):
     path.write_text("Coordinates\nendheader\ntime\ta\n0\t1\n", encoding="utf-8")
     with pytest.raises(DataError, match="inDegrees"):
         read_coordinates_mot(path, ("a",))
+
+
+def test_a_scaled_model_of_ones_own_needs_no_scaling(lift, tmp_path):
+    path = tmp_path / "mine.osim"
+    write_osim(DEFAULT_MODEL, path, markers=lift.model.model.markers, scale=SIZES)
+    rec = lift.recording
+    found = fit_markers(rec.time_s, rec.position_m, rec.names, model=read_marker_model(path))
+    known = angles_of(lift.coordinates, lift)[:, lift.model.free]
+    difference = found.coordinates[:, lift.model.free] - known
+    assert np.nanmax(np.abs(difference)) < 1e-3
+    write_osim(DEFAULT_MODEL, path, markers=())
+    with pytest.raises(DataError, match="has no markers"):
+        read_marker_model(path)
 
 
 def test_results_can_not_be_changed(fit):
