@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from engine.datatypes import Array, Frame
 from engine.errors import ConfigError, DataError, ShapeError
-from engine.pose.twin_gp.hog import HogSettings, compute_hog
+from engine.pose.twin_gp.hog import HogSettings, compute_hog, compute_soft_hog
 from engine.skeletons import MEDIAPIPE_33
 
 __all__ = [
@@ -76,11 +76,14 @@ class FeatureSet:
     window: int = 0
 
 
+SOFT_HOG: Final = HogSettings(cell_px=16, noise_floor=20.0)
+
 FEATURES: Final[Mapping[str, FeatureSet]] = {
     s.name: s
     for s in (
         FeatureSet("hog", "HoG of a fixed crop, 128 x 256 px per view", HogSettings()),
         FeatureSet("hog-paper", "HoG of the whole picture, 8 px cells", HogSettings(size_px=None)),
+        FeatureSet("hog-soft", "HoG of a fixed crop with soft votes and a noise floor", SOFT_HOG),
         FeatureSet("landmarks", "BlazePose landmarks of each view", uses_landmarks=True),
         FeatureSet(
             "landmarks-window",
@@ -89,7 +92,7 @@ FEATURES: Final[Mapping[str, FeatureSet]] = {
             window=1,
         ),
         FeatureSet(
-            "hog+landmarks", "HoG of a fixed crop and BlazePose landmarks", HogSettings(), True
+            "hog+landmarks", "Soft HoG of a fixed crop and BlazePose landmarks", SOFT_HOG, True
         ),
     )
 }
@@ -160,7 +163,11 @@ def describe_picture(
         shrinks = grey.shape[1] > settings.size_px[0]
         how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         grey = cv2.resize(grey, settings.size_px, interpolation=how)
-    return _unit_rows(compute_hog(np.asarray(grey, dtype=np.uint8), cell_px=settings.cell_px))
+    picture = np.asarray(grey, dtype=np.uint8)
+    if settings.noise_floor is None:
+        return _unit_rows(compute_hog(picture, cell_px=settings.cell_px))
+    floor = settings.noise_floor
+    return _unit_rows(compute_soft_hog(picture, cell_px=settings.cell_px, noise_floor=floor))
 
 
 def describe_video(

@@ -12,6 +12,7 @@ from engine.datatypes import Array
 __all__ = ["compute_kernel", "compute_square_distances", "find_median_square"]
 
 BLOCK_COLUMNS: Final = 4096
+EXACT_COLUMNS: Final = 1024
 MEDIAN_ROWS: Final = 1000
 
 Rows = NDArray[np.float32] | NDArray[np.float64]
@@ -20,7 +21,9 @@ Rows = NDArray[np.float32] | NDArray[np.float64]
 def compute_square_distances(first: Rows, second: Rows | None = None) -> Array:
     """Return the squared distances of all rows of `first` to all rows of `second`.
 
-    Products are added up over blocks of columns, those of float32 rows in float32.
+    Products are added up over blocks of columns. Those of wide float32 rows are in float32; rows of
+    up to 1024 numbers are compared in float64, because a kernel of near-equal rows is positive
+    only if their distances are exact.
 
     Parameters
     ----------
@@ -35,11 +38,13 @@ def compute_square_distances(first: Rows, second: Rows | None = None) -> Array:
     other = first if second is None else second
     # Distances don't change when both are moved, and small numbers lose fewer digits.
     centre = other.mean(axis=0)
+    if first.shape[1] <= EXACT_COLUMNS:
+        first, other = first.astype(np.float64), other.astype(np.float64)
     total = np.zeros((len(first), len(other)))
     for start in range(0, first.shape[1], BLOCK_COLUMNS):
         part = slice(start, start + BLOCK_COLUMNS)
-        a = first[:, part] - centre[part]
-        b = a if second is None else other[:, part] - centre[part]
+        a: Rows = first[:, part] - centre[part]
+        b: Rows = a if second is None else other[:, part] - centre[part]
         total -= 2.0 * (a @ b.T)
         total += np.einsum("ij,ij->i", a, a, dtype=np.float64)[:, None]
         total += np.einsum("ij,ij->i", b, b, dtype=np.float64)

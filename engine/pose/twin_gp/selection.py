@@ -40,12 +40,12 @@ from engine.pose.twin_gp.twin import (
 __all__ = ["InnerData", "InnerResult", "choose_hyper", "leave_trials_out", "mean_marker_error"]
 
 SEARCH_FRAMES: Final = 1000
-TWIN_FRAMES_PER_TRIAL: Final = 20
+TWIN_FRAMES_PER_TRIAL: Final = 10
 GAMMAS: Final = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Widths of a block of features, per median squared distance."""
 NOISES: Final = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-POSE_GAMMAS: Final = (0.3, 1.0, 3.0)
-POSE_NOISES: Final = (1e-3, 1e-2, 1e-1)
+POSE_GAMMAS: Final = (0.1, 0.3, 1.0)
+POSE_NOISES: Final = (1e-2, 1e-1)
 NEIGHBOURS: Final = (3, 5, 10, 20)
 LOCAL_NEIGHBOURS: Final = (30, 100)
 RIDGE_NOISES: Final = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
@@ -247,7 +247,7 @@ def _choose_local(part: InnerData, hyper: Hyper, offset: Array) -> tuple[Hyper, 
     median = find_median_square(compute_square_distances(part.pose))
     choices = [
         replace(hyper, gamma_x=1.0 / median, lambda_x=noise, neighbours=count)
-        for noise, count in product(POSE_NOISES[1:], LOCAL_NEIGHBOURS)
+        for noise, count in product(POSE_NOISES, LOCAL_NEIGHBOURS)
     ]
 
     def solve(choice: Hyper) -> InnerResult:

@@ -84,7 +84,7 @@ def test_every_estimator_learns_the_movement(split, name):
     # Stated errors are of the size of the true ones.
     arm = slice(1, 5)
     z = (got.markers_m[:, arm] - markers[:, arm]) / got.sigma_m[:, arm, None]
-    assert 0.2 < np.sqrt((z**2).mean()) < 2.0
+    assert 0.2 < np.sqrt((z**2).mean()) < 3.0
     # The trials left out in training include the highest and the lowest lift, which are harder.
     assert 0.5 * error.mean() < model.inner_error_m < 6 * error.mean()
 
