@@ -52,7 +52,12 @@ from engine.ergonomics.base import Exposure, select_methods
 from engine.ergonomics.flags import raise_flags
 from engine.errors import ConfigError, NoPersonFound, VideoError
 from engine.kinematics.events import LiftFindings, detect_lifts
-from engine.kinematics.fitting.base import add_scene_errors, select_solver
+from engine.kinematics.fitting.base import (
+    Solver,
+    SolverInfo,
+    add_scene_errors,
+    select_solver,
+)
 from engine.kinematics.fusion import fuse_views
 from engine.mesh_video import require_surface, write_mesh_overlay
 from engine.pose.base import create_backend
@@ -120,7 +125,9 @@ def assess(
     """
     config = config or Config()
     # Wrong names fail before the long work, not after it.
-    select_solver(config.kinematics.solver)
+    solver = select_solver(config.kinematics.solver)
+    if solver.info.takes_markers and config.pose.backend != subject_model.BACKEND:
+        raise _no_markers(solver.info)
     select_methods(config.risk.methods, experimental=config.risk.experimental)
     if config.pose.backend == subject_model.BACKEND:
         subject_model.check_model(trial.views, config)
@@ -245,7 +252,8 @@ def _assess_poses(
             # A body fitted to both pictures knows where hidden hands are.
             corrected, fit, every_joint = fused.track, fused.fit, fused.track
         else:
-            fit = select_solver(config.kinematics.solver).fit(corrected, trial.subject)
+            solver = select_solver(config.kinematics.solver)
+            fit = solver.fit(_choose_track(solver, corrected, modelled), trial.subject)
         angles = add_scene_errors(fit.angles, scene)
         findings = _find_lifts(trial, every_joint, angles, scene, config, corrections)
     coverage = summarise_status(corrected, keypoints=MEASURED_KEYPOINTS)
@@ -319,6 +327,25 @@ def _ask_model(
         raise ConfigError("The estimator 'twin-gp' needs keypoints of two views, got those of one.")
     model = load_model(Path(config.pose.model))
     return subject_model.estimate_joints(model, trial.views, joined)
+
+
+def _choose_track(
+    solver: Solver, keypoints: PoseTrack, modelled: subject_model.ModelledJoints | None
+) -> PoseTrack:
+    """Return what a solver fits: skin markers or keypoints."""
+    if not solver.info.takes_markers:
+        return keypoints
+    if modelled is None or modelled.markers is None:
+        raise _no_markers(solver.info)
+    return modelled.markers
+
+
+def _no_markers(solver: SolverInfo) -> ConfigError:
+    return ConfigError(
+        f"The solver {solver.name!r} fits skin markers, which only the estimator "
+        f"{subject_model.BACKEND!r} gives, from a model trained on a known set of them; choose "
+        "another solver, such as least-squares."
+    )
 
 
 CAMERA_TRAVEL = "camera_travel"

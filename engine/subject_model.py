@@ -26,7 +26,7 @@ from engine.pose.twin_gp import (
     describe_video,
     load_model,
 )
-from engine.skeletons import get_skeleton
+from engine.skeletons import MARKER_SETS, get_skeleton
 from engine.two_view import JoinedViews
 from engine.video.reader import probe_video, read_frames
 from engine.video.sync import SyncedViews
@@ -60,11 +60,14 @@ class ModelledJoints:
     ----------
     track
         Joints in the trial's world, m, with standard errors.
+    markers
+        The model's own markers there, for solvers that fit them; None if they are of no known set.
     warnings
         What makes them doubtful, in words.
     """
 
     track: PoseTrack
+    markers: PoseTrack | None
     warnings: tuple[str, ...]
 
 
@@ -140,10 +143,24 @@ def estimate_joints(
     prediction = model.predict(features)
     time_s = joined.track.time_s
     own = _add_knuckles(keypoints_from_markers(time_s, prediction.markers_m, model.marker_names))
-    placed, distance_m = _place(own.position, joined.track)
+    rotation, shift = _find_place(own.position, joined.track)
+    placed = replace(own, position=_move(own.position, rotation, shift))
+    distance_m = _median_distance(placed.position, joined.track)
     marker_sigma = np.sqrt((prediction.sigma_m**2).mean(axis=1))
-    track = _merge(replace(own, position=placed), joined.track, marker_sigma, model)
-    return ModelledJoints(track, _warn(model, features, prediction.sigma_m, distance_m))
+    return ModelledJoints(
+        _merge(placed, joined.track, marker_sigma, model),
+        _as_markers(time_s, _move(prediction.markers_m, rotation, shift), model.marker_names),
+        _warn(model, features, prediction.sigma_m, distance_m),
+    )
+
+
+def _as_markers(time_s: Array, position: Array, names: Sequence[str]) -> PoseTrack | None:
+    """Return markers as a track of the set that has them all."""
+    for name, known in MARKER_SETS.items():
+        if set(names) == set(known.keypoints):
+            order = [list(names).index(marker) for marker in known.keypoints]
+            return PoseTrack(time_s, position[:, order], "m", "world", name)
+    return None
 
 
 def _add_knuckles(track: PoseTrack) -> PoseTrack:
@@ -207,29 +224,43 @@ def _describe_pictures(
     return np.asarray((1 - share) * rows[high - 1] + share * rows[high])
 
 
-def _place(position: Array, seen: PoseTrack) -> tuple[Array, float]:
-    """Turn joints about the vertical and move them along the floor, onto those that were seen.
+def _held(position: Array, seen: PoseTrack) -> tuple[Array, Array]:
+    """Return the joints of the model and those that were seen, at the keypoints both have."""
+    skeleton = get_skeleton(seen.skeleton)
+    columns = [skeleton.index(name) for name in HELD_KEYPOINTS]
+    return position[:, columns], seen.position[:, columns]
+
+
+def _find_place(position: Array, seen: PoseTrack) -> tuple[Array, Array]:
+    """Find the turn about the vertical and the shift along the floor onto the joints seen.
 
     Returns
     -------
     tuple
-        Positions in the trial's world (T, K, 3), and the median distance from the joints seen.
+        Rotation (2, 2) and shift (2,) of x and z.
     """
-    skeleton = get_skeleton(seen.skeleton)
-    columns = [skeleton.index(name) for name in HELD_KEYPOINTS]
-    own, other = position[:, columns], seen.position[:, columns]
+    own, other = _held(position, seen)
     known = np.isfinite(own).all(axis=2) & np.isfinite(other).all(axis=2)
     a, b = own[known][:, [0, 2]], other[known][:, [0, 2]]
-    if len(a) < len(columns):
+    if len(a) < len(HELD_KEYPOINTS):
         raise PoseError(
             "Too few joints were seen in both views to place the model's markers; check that the "
             "whole person is visible in both videos."
         )
-    rotation, shift = _fit_plane_motion(a, b)
+    return _fit_plane_motion(a, b)
+
+
+def _move(position: Array, rotation: Array, shift: Array) -> Array:
+    """Turn points (T, K, 3) about the vertical and move them along the floor."""
     placed = np.array(position)
     placed[..., [0, 2]] = position[..., [0, 2]] @ rotation.T + shift
-    distance = np.linalg.norm(placed[:, columns] - other, axis=2)
-    return placed, float(np.nanmedian(distance))
+    return placed
+
+
+def _median_distance(position: Array, seen: PoseTrack) -> float:
+    """Return how far the model's joints lie from those that were seen, m."""
+    own, other = _held(position, seen)
+    return float(np.nanmedian(np.linalg.norm(own - other, axis=2)))
 
 
 def _fit_plane_motion(first: Array, second: Array) -> tuple[Array, Array]:

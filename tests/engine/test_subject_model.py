@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.config import Config, PoseConfig, TwoViewConfig
+from engine.config import Config, KinematicsConfig, PoseConfig, TwoViewConfig
 from engine.datatypes import Subject, Task, Trial, View
 from engine.errors import ConfigError, DataError, PoseError
-from engine.kinematics.markers import keypoints_from_markers
+from engine.kinematics.markers import fit_markers, keypoints_from_markers
 from engine.pipeline import assess, assess_poses
 from engine.pose.twin_gp import (
     FEATURES,
@@ -120,6 +120,25 @@ def test_the_lift_is_found_with_the_knuckles_of_the_markers(result, truth):
     assert lift.origin.V_cm.value == pytest.approx(true_V, abs=3.5)
     assert result.risk["rnle"].is_applicable
     assert result.backend == "twin-gp"
+
+
+def test_a_body_is_fitted_to_the_markers_themselves(truth, poses, markers, landmark_model):
+    config = dataclasses.replace(
+        settings(landmark_model), kinematics=KinematicsConfig(solver="markers")
+    )
+    found = assess_poses(make_trial(truth), poses, config)
+    true = fit_markers(truth.time_s, *markers).angles
+    for name in ("knee_flexion_l", "hip_flexion_r", "elbow_flexion_r"):
+        assert np.nanmean(np.abs(found.angles[name] - true[name])) < 3.0, name
+    assert found.solver == "markers"
+    assert found.body.joints.skeleton == "synthetic_45"
+
+
+def test_a_solver_of_markers_needs_the_estimator_that_gives_them(truth):
+    config = Config(kinematics=KinematicsConfig(solver="markers"))
+    with pytest.raises(ConfigError, match="only the estimator 'twin-gp' gives") as caught:
+        assess(make_trial(truth), config)
+    assert caught.value.exit_code == 2
 
 
 def test_the_result_says_where_joints_come_from(result):

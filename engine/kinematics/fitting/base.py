@@ -16,7 +16,7 @@ import numpy as np
 
 import engine.kinematics.fitting as solvers_package
 from engine.datatypes import JointAngles, KinematicFit, PoseTrack, Subject, WorldScene
-from engine.errors import ConfigError, UnitError
+from engine.errors import BackendUnavailable, ConfigError, UnitError
 
 __all__ = [
     "Solver",
@@ -44,7 +44,8 @@ class SolverInfo:
     """What a user should know of a solver.
 
     `angles` are the names it returns, as in `engine.kinematics.angles`; `requires` the modules
-    it imports when used, `extra` the optional extra that installs them.
+    it imports when used, `extra` the optional extra that installs them; `takes_markers` says that
+    it fits skin markers, not keypoints.
     """
 
     name: str
@@ -53,6 +54,7 @@ class SolverInfo:
     description: str
     requires: tuple[str, ...] = ()
     extra: str = ""
+    takes_markers: bool = False
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -107,14 +109,16 @@ def select_solver(name: str) -> Solver:
     Raises
     ------
     ConfigError
-        If there is none, or if something it needs is not installed.
+        If there is none.
+    BackendUnavailable
+        If something it needs is not installed.
     """
     known = {solver.info.name: solver for solver in list_solvers()}
     if name not in known:
         raise ConfigError(f"Unknown solver {name!r}; known: {', '.join(known)}.")
     info = known[name].info
     if info.missing:
-        raise ConfigError(
+        raise BackendUnavailable(
             f"The solver {name!r} needs {', '.join(info.missing)}, which is not installed; "
             f"run: pip install 'liftlens[{info.extra}]'."
         )

@@ -94,6 +94,7 @@ SOLVER = MarkerSolver(
         description="For tracks of 45 skin markers: the full-body model of Pose2Sim is scaled to "
         "the person while standing, then placed in every frame where its markers lie nearest to "
         "the measured ones.",
+        takes_markers=True,
     ),
     "builtin",
 )

@@ -19,7 +19,9 @@ SOLVER = MarkerSolver(
         description="For tracks of 45 skin markers: OpenSim's own scaling and inverse kinematics, "
         "in a process of its own, on the model of the solver `markers`. Slower; for comparison "
         "with published work.",
+        requires=("opensim",),
         extra="opensim",
+        takes_markers=True,
     ),
     "opensim",
 )

@@ -14,7 +14,8 @@ from tests.builders import make_scene
 
 def test_every_solver_is_found_by_its_name():
     for solver in list_solvers():
-        assert select_solver(solver.info.name) is solver
+        if not solver.info.missing:
+            assert select_solver(solver.info.name) is solver
     assert {"geometric", "least-squares", "udeas"} <= {s.info.name for s in list_solvers()}
 
 

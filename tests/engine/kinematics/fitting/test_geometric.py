@@ -225,7 +225,8 @@ class TestDiscovery:
     def test_every_solver_keeps_the_contract(self):
         for solver in list_solvers():
             assert set(solver.info.angles) <= set(angles.ANGLE_NAMES)
-            assert select_solver(solver.info.name) is solver
+            if not solver.info.missing:
+                assert select_solver(solver.info.name) is solver
 
     def test_unknown_solver_is_a_config_error_that_lists_the_known(self):
         with pytest.raises(ConfigError, match=r"'udaes'; known: .*geometric"):
