@@ -16,6 +16,7 @@ ESTIMATORS = "views/estimators.py"
 MANAGE = "views/manage.py"
 SETTINGS = "views/settings.py"
 TRAIN = "views/train.py"
+VALIDATION_STUDY = "views/validation_study.py"
 
 
 def build() -> dict[str, list[Page]]:
@@ -30,6 +31,12 @@ def build() -> dict[str, list[Page]]:
             st.Page(IMPROVE, title="Improve", icon=":material/trending_down:", url_path="improve"),
             st.Page(
                 REFERENCE, title="Reference", icon=":material/compare_arrows:", url_path="reference"
+            ),
+            st.Page(
+                VALIDATION_STUDY,
+                title="Validation study",
+                icon=":material/biotech:",
+                url_path="study",
             ),
             st.Page(CAMERAS, title="Cameras", icon=":material/videocam:", url_path="cameras"),
             st.Page(ESTIMATORS, title="Estimators", icon=":material/hub:", url_path="estimators"),

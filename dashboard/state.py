@@ -378,3 +378,24 @@ def train_key(name: str) -> str:
 def estimator_key(name: str) -> str:
     """Return the widget key of an input of the page that compares estimators."""
     return f"estimators_{name}"
+
+
+# --------------------------------------------------------------------------- validation studies
+
+_STUDY = "study"
+
+
+def study_name() -> str | None:
+    """Return the study the address names."""
+    return st.query_params.get(_STUDY)
+
+
+def set_study_name(name: str) -> None:
+    """Put a study into the address, so that a reload shows it again."""
+    if study_name() != name:
+        st.query_params[_STUDY] = name
+
+
+def study_key(name: str) -> str:
+    """Return the widget key of an input of the page of validation studies."""
+    return f"study_{name}"

@@ -52,6 +52,9 @@ TABLE3_ROWS = (
 )  # fmt: skip
 """The angles of Table 3, in its order. All but the lumbar ones have two sides: 23 angles."""
 
+PAPER_TASKS = ("FK", "KS", "FS")
+"""Floor to knuckle, knuckle to shoulder, floor to shoulder."""
+
 MAIN_METHODS = ("tgp-constrained", "tgp", "gp")
 """Which method the printed tables are about, first come; never chosen by its errors."""
 SIDES = ("_r", "_l")
@@ -200,8 +203,12 @@ class MethodResult:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The tasks, in order of first appearance."""
-        return tuple(dict.fromkeys(one.trial.task for one in self.trials))
+        """The tasks: the paper's in its order, then others in order of first appearance."""
+        found = dict.fromkeys(one.trial.task for one in self.trials)
+        return (
+            *(t for t in PAPER_TASKS if t in found),
+            *(t for t in found if t not in PAPER_TASKS),
+        )
 
     def select(self, subject: str | None = None, task: str | None = None) -> list[MethodTrial]:
         """Return the trials of a person and a task; None for any."""
