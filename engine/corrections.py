@@ -47,6 +47,8 @@ PROVENANCE_KEY = "user_corrections"
 CONFIG_TABLE = "corrections"
 """Under this key a result's settings hold what was corrected."""
 SAME_MOMENT_S = 1e-3
+SHOWN_S = 0.0051
+"""Times are shown and typed to a hundredth of a second."""
 ROOM_S = 0.02
 """Times are shown to a hundredth of a second, and pictures come every few of them."""
 
@@ -260,6 +262,7 @@ class Corrections:
         found = shown if earlier is None else earlier.found
         if actual is not None:
             _require_order("A lift", *actual, is_moment_enough=False)
+            actual = _keep_unchanged(actual, shown, found)
         is_back = actual is None if found is None else _is_same_span(found, actual)
         if not is_back:
             rest = (*rest, LiftCorrection(found, actual, by=by, on=on))
@@ -453,6 +456,15 @@ def _is_same_span(one: Span, two: Span | None) -> bool:
     return two is not None and all(
         abs(a - b) <= SAME_MOMENT_S for a, b in zip(one, two, strict=True)
     )
+
+
+def _keep_unchanged(actual: Span, *known: Span | None) -> Span:
+    """Return times with what is a known one but for the rounding of the screen as it was."""
+    ends = []
+    for number, moment in enumerate(actual):
+        near = [span[number] for span in known if span is not None]
+        ends.append(next((m for m in near if abs(m - moment) <= SHOWN_S), moment))
+    return ends[0], ends[1]
 
 
 def _overlap_s(one: Span, two: Span) -> float:

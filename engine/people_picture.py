@@ -120,8 +120,8 @@ def draw_boxes(
     for number, box in enumerate(boxes):
         left, top, right, bottom = (round(edge * scale) for edge in box)
         colour = COLOURS[number % len(COLOURS)]
-        thickness = unit * (4 if number == chosen else 2)
-        for line, shade in ((thickness + 2 * unit, OUTLINE), (thickness, colour)):
+        thickness = unit * (2 if number == chosen else 1)
+        for line, shade in ((thickness + unit, OUTLINE), (thickness, colour)):
             cv2.rectangle(drawn, (left, top), (right, bottom), shade, line)
         _write_number(drawn, str(number + 1), (left, top), colour, unit)
     return drawn

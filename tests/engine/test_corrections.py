@@ -196,6 +196,14 @@ def test_a_lift_corrected_twice_keeps_how_it_was_found():
     assert twice.correct_lift((2.0, 3.5), None).lifts == (LiftCorrection((2.4, 3.6), None),)
 
 
+def test_the_rounding_of_the_screen_is_no_correction():
+    found = (2.4333, 4.2667)
+    assert NO_CORRECTIONS.correct_lift(found, (2.43, 4.27)) == NO_CORRECTIONS
+    (one,) = NO_CORRECTIONS.correct_lift(found, (2.43, 4.1)).lifts
+    assert one.actual == (2.4333, 4.1)
+    assert "start" not in describe_correction(one)
+
+
 def test_a_lift_added_and_removed_needs_no_correction():
     added = NO_CORRECTIONS.correct_lift(None, (7.0, 8.5))
     assert added.lifts == (ADDED,)
