@@ -205,7 +205,7 @@ def test_a_box_can_be_drawn(app, trial_id):
     app.run()
     press(app, "Follow this person")
     assert not app.exception
-    assert "left < right" in html(app)
+    assert "left &lt; right" in html(app)
     next(s for s in app.slider if s.label == "From left to right (px)").set_value((100, 300))
     app.run()
     press(app, "Follow this person")
