@@ -341,7 +341,7 @@ def run_speed(options: argparse.Namespace) -> None:
         ("features hog-paper, one view", lambda: describe_picture(frames[0].image, None, whole))
     )
     lines = [f"{name:66s} {time_ms(call):8.2f} ms" for name, call in rows]
-    lines += list(time_estimators(clips))
+    lines += list(time_estimators(clips, options.regressors))
     write(RESULTS / "twin_gp_speed.txt", "speed", "\n".join(lines))
 
 
@@ -356,13 +356,13 @@ def time_ms(call: object, repeats: int = 15) -> float:
     return float(np.median(times))
 
 
-def time_estimators(clips: list[Clip]) -> Iterator[str]:
+def time_estimators(clips: list[Clip], names: list[str]) -> Iterator[str]:
     """Time training of a subject (all trials) and prediction with 900 training frames."""
     data = gather(clips, "landmarks")
     train = data.repetition != 4
-    few = np.flatnonzero(train)[:: -(-int(train.sum()) // 900)]
+    few = np.flatnonzero(train)[np.linspace(0, train.sum() - 1, 900).astype(int)]
     rows = data.features[~train][:300]
-    for name in ("nn", "gp", "gp-smooth", "tgp", "tgp-knn", "tgp-constrained"):
+    for name in names:
         start = time.process_time()
         whole = train_model(
             data.features, data.markers, data.trial, marker_names=data.names, regressor=name
