@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from engine import subject_model
 from engine.cameras.files.own import format_calibration
 from engine.cameras.monocular import reconstruct_single_view
-from engine.config import Config, SubjectConfig, build_config
+from engine.config import Config, SubjectConfig
 from engine.correction.chain import correct_track, summarise_status
 from engine.corrections import (
     CONFIG_TABLE,
@@ -30,8 +30,6 @@ from engine.corrections import (
     Corrections,
     PersonChoice,
     apply_corrections,
-    read_corrections,
-    restore_sides,
 )
 from engine.datatypes import (
     Frame,
@@ -63,7 +61,7 @@ from engine.mesh_video import require_surface, write_mesh_overlay
 from engine.pose.base import create_backend
 from engine.pose.twin_gp import load_model
 from engine.storage.atomic import scratch_folder
-from engine.storage.results import CALIBRATION_NAME, StoredResult, check_target, write_result
+from engine.storage.results import StoredResult, check_target, write_result
 from engine.subject.detector import PersonDetector
 from engine.subject.tracker import follow_person
 from engine.timing import NETWORK_CLOCK
@@ -81,8 +79,8 @@ __all__ = [
     "assess_poses",
     "assess_to_folder",
     "observe_views",
-    "reassess",
-    "reassess_to_folder",
+    "require_target",
+    "write_trial",
 ]
 
 
@@ -579,146 +577,27 @@ def assess_to_folder(
     OutputError
         If the folder can't be written.
     """
-    folder = _require_target(folder)
+    folder = require_target(folder)
     if config.output.surface:
         require_surface()
-    return _write(assess(trial, config, progress, corrections), config, folder, progress)
+    return write_trial(assess(trial, config, progress, corrections), config, folder, progress)
 
 
-def reassess(
-    stored: StoredResult,
-    corrections: Corrections,
-    videos: Sequence[Path] = (),
-    progress: ProgressCallback = ignore_progress,
-) -> TrialResult:
-    """Assess a stored trial anew, with other corrections and everything else as it was.
-
-    Parameters
-    ----------
-    stored
-        The result to start from.
-    corrections
-        All that is to be corrected now; what the result was corrected by before, and is not among
-        them, is taken back.
-    videos
-        The videos it was made from, in their order; only needed where another person is followed
-        than before. Otherwise the stored keypoints are used.
-    progress
-        As in `assess`.
-
-    Returns
-    -------
-    TrialResult
-        Nothing is written.
-
-    Raises
-    ------
-    VideoError
-        If videos are needed and not given, or are not the ones that were assessed.
-    ConfigError
-        If a correction can't be followed.
-    """
-    _require_same_videos(stored, videos)
-    trial, config = _recall(stored, videos)
-    if set(corrections.persons) == set(read_corrections(stored.document).persons):
-        progress("scene", 0, 0)
-        return assess_poses(trial, restore_sides(stored.views), config, corrections)
-    if not videos:
-        names = " and ".join(view.info.file_name for view in stored.views)
-        raise VideoError(
-            f"Following another person needs the video again; add the file that was assessed "
-            f"({names})."
-        )
-    return assess(trial, config, progress, corrections)
-
-
-def reassess_to_folder(
-    stored: StoredResult,
-    corrections: Corrections,
-    folder: Path,
-    videos: Sequence[Path] = (),
-    progress: ProgressCallback = ignore_progress,
-) -> Path:
-    """Assess a stored trial anew (see `reassess`) and write its result folder.
-
-    Without the videos, the annotated ones are taken over as they are, and the result says so.
-
-    Returns
-    -------
-    Path
-        The folder.
+def require_target(folder: Path) -> Path:
+    """Return where a result may be written; found out before the long work.
 
     Raises
     ------
     OutputError
-        If the folder can't be written.
+        If nothing can be written there.
     """
-    folder = _require_target(folder)
-    result = reassess(stored, corrections, videos, progress)
-    _, config = _recall(stored, videos)
-    if videos or stored.overlay_path is None:
-        drawn = dataclasses.replace(config.output, overlay=stored.overlay_path is not None)
-        return _write(result, dataclasses.replace(config, output=drawn), folder, progress)
-    result = dataclasses.replace(result, warnings=(*result.warnings, OLD_OVERLAY))
-    return _write(result, config, folder, progress, earlier=stored)
-
-
-OLD_OVERLAY = (
-    "The annotated video was not drawn again, since the original is no longer kept: it shows "
-    "sides and lifts as they were before the correction."
-)
-
-
-def _require_same_videos(stored: StoredResult, videos: Sequence[Path]) -> None:
-    if videos and len(videos) != len(stored.views):
-        raise ConfigError(
-            f"The trial has {len(stored.views)} videos, but {len(videos)} are given; give all."
-        )
-    for video, view in zip(videos, stored.views, strict=False):
-        if probe_video(video).sha256 != view.info.sha256:
-            raise VideoError(
-                f"{video.name} is not the video that was assessed: expected {view.info.file_name} "
-                f"with the fingerprint {view.info.sha256[:16]}; choose that file."
-            )
-
-
-def _recall(stored: StoredResult, videos: Sequence[Path]) -> tuple[Trial, Config]:
-    """Return the trial and the settings a result was made from."""
-    document = stored.document
-    # Without a video only its name counts; nothing in the working folder may be taken for it.
-    names = [view.info.file_name for view in stored.views]
-    paths = videos or [stored.folder / "video not kept" / name for name in names]
-    trial = Trial(
-        views=tuple(View(path) for path in paths),
-        subject=stored.subject,
-        task=stored.task,
-        label=document["label"],
-        site=document["site"],
-        job=document["job"],
-    )
-    tables = {k: v for k, v in document["config"].items() if k != CONFIG_TABLE}
-    return trial, _keep_cameras(build_config(tables), stored, videos)
-
-
-def _keep_cameras(config: Config, stored: StoredResult, videos: Sequence[Path]) -> Config:
-    """Take cameras and clocks from the result where what they were found from is gone."""
-    two_view, sync = config.two_view, stored.sync
-    kept = stored.folder / CALIBRATION_NAME
-    if two_view.calibration and not Path(two_view.calibration).is_file() and kept.is_file():
-        two_view = dataclasses.replace(two_view, calibration=str(kept))
-    if sync is not None and not videos and sync.method in ("audio", "both"):
-        two_view = dataclasses.replace(two_view, sync=repr(sync.offset_s))
-    return dataclasses.replace(config, two_view=two_view)
-
-
-def _require_target(folder: Path) -> Path:
     folder = check_target(folder)
     with scratch_folder(folder):
         pass  # a disk that takes nothing is found out now, not after the long work
     return folder
 
 
-def _write(
+def write_trial(
     result: TrialResult,
     config: Config,
     folder: Path,

@@ -32,7 +32,13 @@ STEPS = {
     "form",
     "validation",
 }
-MAY_START_THE_PIPELINE = {"engine", "engine.cli", "engine.estimators", "engine.jobs.worker"}
+MAY_START_THE_PIPELINE = {
+    "engine",
+    "engine.cli",
+    "engine.estimators",
+    "engine.jobs.worker",
+    "engine.reassess",
+}
 BROWSER_LIBRARIES = {"streamlit", "plotly", "altair"}
 HEAVY = ("cv2", "av", "onnxruntime", "scipy", "pandas", "streamlit", "plotly", "PIL", "sqlite3")
 

@@ -35,7 +35,7 @@ __all__ = ["Reassess", "ask_again", "renew"]
 logger = logging.getLogger(__name__)
 
 Reassess = Callable[[StoredResult, Corrections, Path, Sequence[Path], ProgressCallback], Path]
-"""Like `engine.pipeline.reassess_to_folder`: writes a whole result folder or none."""
+"""Like `engine.reassess.reassess_to_folder`: writes a whole result folder or none."""
 
 
 def ask_again(

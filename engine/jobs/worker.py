@@ -178,7 +178,7 @@ def _reassess(
     videos: Sequence[Path],
     progress: ProgressCallback,
 ) -> Path:
-    from engine.pipeline import reassess_to_folder
+    from engine.reassess import reassess_to_folder
 
     return reassess_to_folder(stored, corrections, folder, videos, progress)
 

@@ -23,7 +23,8 @@ from engine.corrections import (
 from engine.datatypes import Frame, PersonBox, TrialResult, ViewPose
 from engine.errors import ConfigError, NoPersonFound, VideoError
 from engine.kinematics.events import SET_BY_USER
-from engine.pipeline import assess_poses, reassess, reassess_to_folder
+from engine.pipeline import assess_poses
+from engine.reassess import reassess, reassess_to_folder
 from engine.storage.results import StoredResult, read_result, write_result
 from tests.dashboard.results import write_clip
 from tests.engine.cameras.truth import Truth, read_truth, see
