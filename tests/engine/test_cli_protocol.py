@@ -299,7 +299,7 @@ def rename_markers(trial):
         (resize, "The pictures of S1/S1_FK_02 have 96 x 64 px"),
         (cut_view, "The two videos of S1/S1_FK_01 have 36 and 20 frames"),
         (cut_markers, "The markers of S1/S1_FK_01 cover 0.00 to 0.47 s"),
-        (lose_marker, "RELL (56% missing)"),
+        (lose_marker, "RELL (58% missing)"),
         (rename_unit, "S1/S1_FK_01: "),
         (rename_markers, "S1/S1_FK_01: "),
     ],
