@@ -14,6 +14,8 @@ from engine.skeletons import get_skeleton
 
 FRUSTUM_M = 0.45
 """How far the drawn pyramid of a camera reaches."""
+LABEL_M = 0.3
+"""How far behind a camera its name stands."""
 FLOOR_M = 0.5
 """Size of the floor's tiles."""
 
@@ -154,11 +156,20 @@ def _add_camera(figure: go.Figure, camera: Camera, name: str, *, color: str) -> 
         x=x,
         y=y,
         z=z,
-        mode="markers+text",
-        text=[name],
-        textposition="top center",
-        textfont={"color": color, "size": 13},
+        mode="markers",
         marker={"size": 5, "color": color},
         name=name,
         hovertemplate=f"{name}<br>%{{z:.2f}} m above the floor<extra></extra>",
+    )
+    # Behind the camera, where none of its lines is.
+    x, y, z = _upright((centre - LABEL_M * camera.rotation[2])[None])
+    figure.add_scatter3d(
+        x=x,
+        y=y,
+        z=z,
+        mode="text",
+        text=[name],
+        textfont={"color": color, "size": 13},
+        name=name,
+        hoverinfo="skip",
     )

@@ -35,8 +35,9 @@ def show_two_views(result: StoredResult) -> None:
 def show_cameras(calibration: Calibration, track: PoseTrack | None = None) -> None:
     """Show cameras, floor and person in three dimensions."""
     figure = camera_charts.plot_cameras(calibration, track, dark=is_dark())
-    st.plotly_chart(figure, width="stretch", config={"displayModeBar": False})
-    st.caption(camera_charts.describe_cameras(calibration))
+    words = camera_charts.describe_cameras(calibration)
+    st.plotly_chart(figure, width="stretch", config={"displayModeBar": False}, alt=words)
+    st.caption(words)
 
 
 def show_checks(checks: Sequence[CalibrationCheck]) -> None:
@@ -67,8 +68,8 @@ def show_facts(calibration: Calibration, sync: SyncEstimate | None = None) -> No
         ("Height of the floor", _error(100 * calibration.floor_sigma_m, "cm")),
     ]
     if sync is not None:
-        sure = "" if math.isnan(sync.sigma_s) else f" ± {1000 * sync.sigma_s:.0f} ms"
-        rows.append(("Second video starts at", f"{sync.offset_s:+.3f} s{sure}"))
+        sure = "" if math.isnan(sync.sigma_s) else f" ± {sync.sigma_s:.3f}"
+        rows.append(("Second video starts at", f"{_signed(sync.offset_s)}{sure} s"))
         rows.append(("Clocks matched", SYNC_METHODS.get(sync.method, sync.method)))
     head = (("How the cameras were placed", ""), ("± is one standard error", ""))
     st.html(table_html(head, rows, css="ll-plain"))
@@ -78,6 +79,10 @@ def show_facts(calibration: Calibration, sync: SyncEstimate | None = None) -> No
 
 def _error(value: float, unit: str) -> str:
     return "unknown" if math.isnan(value) else f"± {value:.1f} {unit}".replace(" °", "°")
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3f}".replace("-", "−")
 
 
 def _keep(result: StoredResult) -> None:
