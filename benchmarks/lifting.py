@@ -158,7 +158,7 @@ def compare_joints(options: argparse.Namespace) -> str:
     rows = []
     for (label, clips), imitated in [(s, n) for s in sets.items() for n in (False, True)]:
         noise = KeypointNoise.read(NOISE_FILE) if imitated else None
-        batches = [b for b, _ in zip(_batches(clips, noise, 64, SEED), range(4), strict=False)]
+        batches = [b for b, _ in zip(_batches(clips, noise, 48, SEED), range(1), strict=False)]
         true = np.concatenate([b.joints for b in batches]).reshape(-1, 17, 3)
         named = [("mean posture", lambda b: np.broadcast_to(usual, b.joints.shape))]
         for name, lift in [*named, *networks(options.cache / "lifting", SEED)]:
