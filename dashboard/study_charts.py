@@ -13,7 +13,7 @@ from engine.validation.protocol.tables import ROW_TITLES
 __all__ = ["name_study_angle", "plot_angles", "plot_persons", "plot_study_curves"]
 
 GRID, ZERO = "rgba(140,155,170,0.25)", "rgba(140,155,170,0.8)"
-ROW_PX, FRAME_PX = 30, 100
+ROW_PX, FRAME_PX = 30, 130
 PUBLISHED_MM = 9.52
 SIDES = {"_r": ", right", "_l": ", left"}
 

@@ -212,11 +212,12 @@ def _say_constraint(comparisons: Sequence[MethodComparison]) -> Iterable[str]:
         if features == other and (first, second) == ("tgp", "tgp-constrained"):
             low, high = (format_number(end, signed=True) for end in c.test.interval)
             helped = "helped" if c.test.mean < 0 else "did not help"
-            sure = "" if c.p_holm < 0.05 else "; the difference was not shown"
+            if not c.p_holm < 0.05:
+                helped = "was not shown to change anything"
             yield (
                 f"{features}: holding the upper-limb lengths {helped}: marker error "
                 f"{format_number(c.test.mean, signed=True)} mm (95 % interval {low} to {high} mm, "
-                f"p {format_p(c.p_holm)}){sure}."
+                f"p {format_p(c.p_holm)})."
             )
 
 
