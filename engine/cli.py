@@ -489,8 +489,8 @@ def protocol(
     features: Annotated[
         str,
         typer.Option(
-            help="hog, hog-paper, landmarks, landmarks-window, hog+landmarks; several by commas, "
-            "or all."
+            help="hog, hog-soft, hog-paper, landmarks, landmarks-window, hog+landmarks; several by "
+            "commas, or all."
         ),
     ] = "hog",
     folds: Annotated[
