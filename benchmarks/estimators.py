@@ -119,7 +119,8 @@ def read_reference_clips(data: Path) -> Iterator[Clip]:
     """Give reference recordings as virtual cameras see them, without any error in the picture.
 
     Feet and head, which the recordings don't hold, are set from the legs and the trunk. MediaPipe
-    gives no depth for pictures that don't exist, so it is left out of these rows.
+    gives no depth for pictures that don't exist, so it is left out of these rows, and so is what
+    starts from its depth.
     """
     with np.load(data / "reference/reference_h36m17_30fps.npz", allow_pickle=False) as arrays:
         world = (arrays["pose"].astype(float) + arrays["root"][:, None])[..., [0, 2, 1]]
@@ -224,7 +225,11 @@ def measure(clip: Clip, name: str, solver: str) -> tuple[list[dict], dict[str, n
     """Lift, correct in every way, fit and compare; rows, and curves of our own correction."""
     settings = PoseConfig(backend=name, threads=1)
     start = time.perf_counter()
-    pose = lift_keypoints(clip.pose, settings)
+    try:
+        pose = lift_keypoints(clip.pose, settings)
+    except EngineError as error:
+        row = {"group": clip.group, "clip": clip.name, "estimator": name, "correction": "original"}
+        return [row | {"refused": str(error)}], {}
     per_frame = (time.perf_counter() - start) / clip.pose.image.n_frames
     trial = Trial(views=(View(Path(clip.name)),), subject=Subject(stature_m=clip.stature_m))
     rows, curves = [], {}
