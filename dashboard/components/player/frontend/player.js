@@ -389,6 +389,7 @@ class Player {
     if (!width) return;
     const narrow = width < NARROW_PX;
     root.classList.toggle("narrow", narrow);
+    this.#placeBody(narrow && this.videos.length > 1 ? root : this.stage);
     const left = narrow ? 44 : 76;
     const right = width - 10;
     root.style.setProperty("--gutter", `${left}px`);
@@ -405,6 +406,11 @@ class Player {
     for (const plot of this.plots) plot.draw(this.axis, narrow ? 104 : 120);
     this.#fitBody();
     this.#ask();
+  }
+
+  /** Below both videos on a phone, play button and time axis come before the skeleton. */
+  #placeBody(place) {
+    if (this.bodyView.parentElement !== place) place.append(this.bodyView);
   }
 
   /** The skeleton is as high as the video beside it. */
