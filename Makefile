@@ -1,5 +1,6 @@
 # make demo    try it: assess the bundled samples and open the dashboard
 # make test    run all tests
+# make test-extras   tests of the optional extras, which it installs (large)
 # make lint    check style and types
 # make serve   open the dashboard
 # make lock    pin the newest versions that fit pyproject.toml
@@ -20,7 +21,7 @@ BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
 DEFINITION := pyproject.toml requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help demo serve test lint format chromium postgres lock clean
+.PHONY: help demo serve test test-extras lint format chromium postgres lock clean
 
 help:
 	@sed -n '/^#/!q; s/^# \{0,1\}//p' Makefile
@@ -33,6 +34,11 @@ serve: .venv/.installed
 
 test: .venv/.installed-dev chromium postgres
 	$(BIN)/python -m pytest $(ARGS)
+
+# Optional extras are large (PyTorch, OpenSim); their tests have a call of their own.
+test-extras: .venv/.installed-dev
+	$(BIN)/python -m pip install --no-compile -e ".[opensim,train,anny]"
+	$(BIN)/python -m pytest -m extra $(ARGS)
 
 lint: .venv/.installed-dev
 	$(BIN)/python -m ruff check .

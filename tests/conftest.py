@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -29,13 +30,24 @@ def find_chromium() -> str | None:
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip browser tests where there is no browser; in CI they run, and fail."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out tests of extras that are not installed, and skip browser tests without a browser.
+
+    Tests of optional extras run by `make test-extras`; in CI browser tests run, and fail.
+    """
+    absent = [item for item in items if _lacks_extra(item)]
+    if absent:
+        items[:] = [item for item in items if item not in absent]
+        config.hook.pytest_deselected(items=absent)
     if IS_CI or find_chromium():
         return
     for item in items:
         if item.get_closest_marker("browser"):
             item.add_marker(pytest.mark.skip(reason=NO_BROWSER))
+
+
+def _lacks_extra(item: pytest.Item) -> bool:
+    return any(find_spec(mark.args[0]) is None for mark in item.iter_markers("extra"))
 
 
 @pytest.hookimpl(wrapper=True)

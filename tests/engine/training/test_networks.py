@@ -8,17 +8,18 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="PyTorch is only in the extra `train`")
+from engine.pose.lifting.diffusion import cosine_schedule
+from engine.training.corpus import MIRRORED
+from engine.training.detected import Detected
+from engine.training.diffusion import DiffusionSchedule
+from engine.training.fit import Material, Settings, train
+from engine.training.networks import build_network, flat_joints
+from engine.training.simulated import simulate_clips
+from engine.training.views import project_windows
 
-from engine.pose.lifting.diffusion import cosine_schedule  # noqa: E402
-from engine.training.corpus import MIRRORED  # noqa: E402
-from engine.training.detected import Detected  # noqa: E402
-from engine.training.diffusion import DiffusionSchedule  # noqa: E402
-from engine.training.fit import Material, Settings, train  # noqa: E402
-from engine.training.networks import build_network, flat_joints  # noqa: E402
-from engine.training.simulated import simulate_clips  # noqa: E402
-from engine.training.views import project_windows  # noqa: E402
+pytestmark = pytest.mark.extra("torch")
 
 NAMES = ("mhformer", "mixste", "mlp", "tcn")
 

@@ -16,7 +16,7 @@ from tests.builders import make_pose_track
 from tests.engine.kinematics.markers.builders import make_lift
 
 has_opensim = importlib.util.find_spec("opensim") is not None
-needs_opensim = pytest.mark.skipif(not has_opensim, reason="opensim is not installed")
+needs_opensim = pytest.mark.extra("opensim")
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,13 @@ import pytest
 
 from engine.errors import BackendUnavailable
 from engine.pose.swing_twist.inverse_kinematics import place_joints
-from engine.pose.swing_twist.mesh import BodyMesh, has_body, load_body, pose_surface
+from engine.pose.swing_twist.mesh import BodyMesh, load_body, pose_surface
 from engine.pose.swing_twist.skeleton29 import JOINTS, N_TURNING, RestSkeleton
 
 from .builders import REST, human_rotations
 
 STILL = np.tile(np.eye(3), (1, N_TURNING, 1, 1))
-with_anny = pytest.mark.skipif(not has_body(), reason="the extra anny is not installed")
+with_anny = pytest.mark.extra("anny")
 
 
 def points_around_joints(n: int = 5) -> BodyMesh:
