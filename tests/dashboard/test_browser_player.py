@@ -13,7 +13,7 @@ from engine.storage.library import Library
 from engine.storage.results import write_result
 from tests.builders import make_two_views
 from tests.dashboard.results import make_shown_result, write_clip
-from tests.dashboard.test_browser import CHROMIUM_OPTIONS, _note_stranger, serve
+from tests.dashboard.test_browser import CHROMIUM_OPTIONS, PATIENCE_S, _note_stranger, serve
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -21,6 +21,7 @@ SOFTWARE_3D = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--igno
 NO_3D = ["--disable-3d-apis"]
 FRAME = "iframe[title*=liftlens_player]"
 FPS = 30.0
+PATIENCE_MS = 1000 * PATIENCE_S
 SETTLED = """() => {
   // Curves are drawn anew while the page around the player finds its width.
   const plot = document.querySelector('.plot');
@@ -78,15 +79,16 @@ def open_player(browser, address):
             viewport={"width": width, "height": 900}, color_scheme=mode
         )
         contexts.append(context)
+        context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
         page.on("pageerror", lambda error: faults.append(str(error)))
         page.on("request", lambda request: _note_stranger(request.url, address, faults))
         page.goto(f"{address}/trial?trial={trial}")
-        page.locator(FRAME).wait_for(timeout=60_000)
+        page.locator(FRAME).wait_for()
         frame = page.frame_locator(FRAME)
-        frame.locator(".readout", has_text="picture").wait_for(timeout=60_000)
+        frame.locator(".readout", has_text="picture").wait_for()
         inner = next(f for f in page.frames if "liftlens_player" in f.url)
-        inner.wait_for_function("document.documentElement.dataset.painter", timeout=60_000)
+        inner.wait_for_function("document.documentElement.dataset.painter")
         inner.wait_for_function(
             "[...document.querySelectorAll('video')].every(v => v.readyState === 4)"
         )
@@ -287,7 +289,7 @@ def test_a_flag_is_answered_and_a_moment_noted(open_player, home):
     frame.click(".bar button.high")
     page.get_by_text("Do you agree with the flags?").wait_for()
     chosen = page.get_by_role("combobox", name="Flag")
-    expect(chosen).to_have_value(re.compile("Lift 2 is far above"), timeout=30_000)
+    expect(chosen).to_have_value(re.compile("Lift 2 is far above"), timeout=PATIENCE_MS)
     page.get_by_label("Your name or initials").fill("AB")
     page.get_by_role("button", name="Save the answer").click()
     page.get_by_text("Accepted by AB").wait_for()
