@@ -266,7 +266,7 @@ def _angle_errors(clip: Clip, angles) -> dict[str, float]:
     found = np.stack([angles[n][inside] for n in names], axis=1)
     true = np.stack([np.interp(time_s, clip.truth_s, clip.truth[n]) for n in names], axis=1)
     errors = compute_majae(time_s, names, found, true)
-    row = {f"{g.name}": g.mae_deg for g in errors.groups} | {"average": errors.overall_deg}
+    row = {g.name: g.mae_deg for g in errors.groups}
     main = ["trunk_inclination"] + [f"{p}_flexion_{s}" for p in ("hip", "knee") for s in "lr"]
     off = [
         np.abs(angle_difference(angles[n][inside], np.interp(time_s, clip.truth_s, clip.truth[n])))
@@ -294,7 +294,7 @@ def summarise(rows: pd.DataFrame, landmarks_s: float) -> str:
             "together": (lifting + landmarks_s).round(4),
         }
     )
-    known = rows.dropna(subset=["average"])
+    known = rows.assign(average=_average(rows)).dropna(subset=["average"])
     columns = ["fit_mm", *MAJAE_GROUPS, "average", "trunk, hip, knee"]
     keys = ["group", "estimator", "correction"]
     table4 = known.groupby(keys, sort=True)[columns].mean().round(2)
@@ -313,6 +313,13 @@ def summarise(rows: pd.DataFrame, landmarks_s: float) -> str:
         parts.append(("Refused", refused.to_string(index=False)))
     parts.append(("Ten largest errors", _worst(known)))
     return "\n\n".join(f"{title}\n{text}" for title, text in parts)
+
+
+def _average(rows: pd.DataFrame) -> pd.Series:
+    """Weight the groups by their angles, as the paper does; a group never seen is left out."""
+    weights = pd.Series({name: len(angles) for name, angles in MAJAE_GROUPS.items()})
+    groups = rows[list(MAJAE_GROUPS)]
+    return (groups * weights).sum(axis=1) / (groups.notna() * weights).sum(axis=1)
 
 
 def _improvements(known: pd.DataFrame) -> str:
@@ -379,17 +386,8 @@ def time_landmarks(data: Path) -> float:
     return round(pose.model_time_s / pose.image.n_frames, 4)
 
 
-def main() -> None:
-    """Run the comparison and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--cache", type=Path, default=Path(".benchmark_cache/monocular_lifts"))
-    parser.add_argument("--persons", nargs="*", default=list(TEST_PERSONS))
-    parser.add_argument("--estimators", nargs="*", default=list(ESTIMATORS))
-    parser.add_argument("--solver", default="least-squares")
-    parser.add_argument("--every", type=int, default=1, help="take every n-th synthetic video")
-    parser.add_argument("--out", type=Path, help="text file; .csv and .png are put beside it")
-    options = parser.parse_args()
+def run(options: argparse.Namespace) -> tuple[pd.DataFrame, Clip | None, dict]:
+    """Measure every estimator on every clip; rows, and a clip with its curves to draw."""
     rows, profile, curves = [], None, {}
     clips = [
         *read_lift_clips(options.data, options.cache, options.persons, options.every),
@@ -405,10 +403,29 @@ def main() -> None:
             if clip.truth_s is not None and clip.has_body and profile in (None, clip):
                 profile, curves[name] = clip, profiles
         print(clip.name, flush=True)
-    table = pd.DataFrame(rows)
+    return pd.DataFrame(rows), profile, curves
+
+
+def main() -> None:
+    """Run the comparison and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--cache", type=Path, default=Path(".benchmark_cache/monocular_lifts"))
+    parser.add_argument("--persons", nargs="*", default=list(TEST_PERSONS))
+    parser.add_argument("--estimators", nargs="*", default=list(ESTIMATORS))
+    parser.add_argument("--solver", default="least-squares")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th synthetic video")
+    parser.add_argument("--out", type=Path, help="text file; .csv and .png are put beside it")
+    parser.add_argument("--rows", type=Path, help="make the tables from an earlier run's .csv")
+    options = parser.parse_args()
+    if options.rows:
+        table, profile, curves = pd.read_csv(options.rows), None, {}
+    else:
+        table, profile, curves = run(options)
     head = (
         "Estimators with our own weights (published accuracies belong to other weights). "
-        f"Synthetic persons {', '.join(options.persons)}; reference recordings; real clips. "
+        f"Synthetic persons {', '.join(options.persons)} (every {options.every}. video); reference "
+        "recordings; real clips. Angles never seen in a clip are left out of its average. "
         f"Solver {options.solver}.\nCommand: benchmarks/estimators.py; {platform.machine()}, "
         f"Python {platform.python_version()}; seeds fixed in the estimators."
     )
