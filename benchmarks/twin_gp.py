@@ -294,7 +294,7 @@ def run_subjects(options: argparse.Namespace, table: Table) -> None:
     ]
     if not open_rows:
         return
-    everybody = [p for p in PERSONS if p not in TEST_PERSONS]
+    everybody = sorted({person, *(p for p in PERSONS if p not in TEST_PERSONS)})
     parts = {p: gather(read_clips(options.data, p), "landmarks") for p in everybody}
     joined = replace(
         parts[person],

@@ -277,7 +277,8 @@ def _photograph(browser: Browser, address: str, shot: Shot, mode: str, out: Path
     page = context.new_page()
     page.on("pageerror", lambda error: sys.stdout.write(f"  {shot.name}-{mode}: {error}\n"))
     page.goto(address)
-    page.locator(shot.sign).first.wait_for()
+    # The first one of a kind may stand in an expander that is closed.
+    page.locator(shot.sign).locator("visible=true").first.wait_for()
     page.locator(AT_REST).wait_for()
     if shot.prepare:
         shot.prepare(page)
@@ -296,7 +297,7 @@ def _photograph(browser: Browser, address: str, shot: Shot, mode: str, out: Path
 def _take(page: Page) -> Image.Image:
     """Return a picture of the whole page, put together where it is higher than a texture may be."""
     size = page.viewport_size
-    height = page.evaluate(f"document.querySelector('{MAIN}').scrollHeight") + BAR_PX
+    height = _content_px(page)
     if height <= MAX_HEIGHT_PX:
         return Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     page.set_viewport_size({"width": size["width"], "height": MAX_HEIGHT_PX})
@@ -327,9 +328,15 @@ def _fit_height(page: Page, width: int) -> None:
     while height != seen:
         page.wait_for_timeout(900)
         seen = height
-        height = page.evaluate(f"document.querySelector('{MAIN}').scrollHeight")
-        page.set_viewport_size({"width": width, "height": min(height + BAR_PX, MAX_HEIGHT_PX)})
+        height = _content_px(page)
+        page.set_viewport_size({"width": width, "height": min(height, MAX_HEIGHT_PX)})
     page.wait_for_timeout(500)
+
+
+def _content_px(page: Page) -> int:
+    """Return how high the page is with its bar; what it scrolls in is never below the window."""
+    block = "document.querySelector('.stMainBlockContainer').getBoundingClientRect().height"
+    return max(400, round(page.evaluate(block)) + BAR_PX)
 
 
 def main() -> None:

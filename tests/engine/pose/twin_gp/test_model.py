@@ -161,7 +161,8 @@ def test_a_saved_model_predicts_the_same(split, tmp_path, name):
     assert again.marker_names == NAMES
     one, other = model.predict(features), again.predict(features)
     np.testing.assert_allclose(other.markers_m, one.markers_m, atol=2e-5)
-    np.testing.assert_allclose(other.sigma_m, one.sigma_m, rtol=1e-6)
+    # Sums of 32-bit features end alike to five digits, in whatever order they are added.
+    np.testing.assert_allclose(other.sigma_m, one.sigma_m, rtol=1e-4, atol=1e-9)
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["model.npz"]
 
 
