@@ -75,8 +75,9 @@ class EstimatorRun:
 
 
 def list_lifters() -> tuple[BackendInfo, ...]:
-    """Describe the estimators that can be compared on stored keypoints."""
-    return tuple(i for i in list_backends() if i.name == LANDMARKS or i.lifts)
+    """Describe the estimators that can be compared on stored keypoints, `mediapipe` first."""
+    usable = (i for i in list_backends() if i.name == LANDMARKS or i.lifts)
+    return tuple(sorted(usable, key=lambda info: info.name != LANDMARKS))
 
 
 def lift_keypoints(pose: ViewPose, settings: PoseConfig) -> ViewPose:

@@ -160,3 +160,10 @@ def test_keypoints_of_another_kind_are_refused(tmp_path):
     )
     with pytest.raises(DataError, match="assessed with 'stored'"):
         compare_on_stored(read_result(folder), ("mediapipe",))
+
+
+def test_what_the_others_start_from_comes_first():
+    names = [info.name for info in estimators.list_lifters()]
+    assert names[0] == "mediapipe"
+    assert {"d3dp", "hybrik", "mhformer"} <= set(names)
+    assert "stored" not in names
