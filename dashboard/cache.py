@@ -303,7 +303,7 @@ def repetitions(trial_id: str) -> tuple[Repetition, ...]:
     DataError
         If there is no such trial, or its clip is too short.
     """
-    return _find_repetitions(trial_id, _result_stamp(trial_id))
+    return _find_repetitions(trial_id, result_stamp(trial_id))
 
 
 def form_comparisons(
@@ -316,11 +316,11 @@ def form_comparisons(
     EngineError
         If the movements can't be compared.
     """
-    stamps = (_result_stamp(reference), _result_stamp(attempt))
+    stamps = (result_stamp(reference), result_stamp(attempt))
     return _compare_form(reference, attempt, reference_repetition, stamps)
 
 
-def _result_stamp(trial_id: str) -> int:
+def result_stamp(trial_id: str) -> int:
     """Return what changes when a trial does."""
     result(trial_id)  # says in one sentence what is wrong with it
     return (library().folder(trial_id) / "trial.json").stat().st_mtime_ns

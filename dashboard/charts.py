@@ -14,6 +14,7 @@ from engine.datatypes import Array, JointAngles, Lift, Status
 BAND_FACTOR = 1.96
 """The band is about 95 %: this many standard errors to either side."""
 
+GRID = "rgba(140,155,170,0.25)"
 LIGHT = ("#0072b2", "#c24e00", "#007a59")
 DARK = ("#6bc0f0", "#ff9e5e", "#4fd3a8")
 DASHES = ("solid", "dash", "dot")
@@ -53,7 +54,6 @@ def plot_angles(
         column = angles.names.index(name)
         _add_curve(figure, angles, column, color=color, dash=dash)
     _add_lifts(figure, lifts, dark=dark)
-    grid = "rgba(140,155,170,0.25)"
     figure.update_layout(
         height=390,
         margin={"l": 8, "r": 8, "t": 28, "b": 86},
@@ -64,12 +64,26 @@ def plot_angles(
         hoverlabel={"namelength": -1},
     )
     figure.update_xaxes(
-        title="Time (s)", gridcolor=grid, zeroline=False, fixedrange=False, automargin=True
+        title="Time (s)", gridcolor=GRID, zeroline=False, fixedrange=False, automargin=True
     )
     figure.update_yaxes(
-        title="Angle (°)", gridcolor=grid, zerolinecolor="rgba(140,155,170,0.6)", automargin=True
+        title="Angle (°)", gridcolor=GRID, zerolinecolor="rgba(140,155,170,0.6)", automargin=True
     )
     return figure
+
+
+def frame_figure(figure: go.Figure, *, height: int) -> None:
+    """Give a figure of a comparison its height, margins, legend and grid."""
+    figure.update_layout(
+        height=height,
+        margin={"l": 8, "r": 8, "t": 34, "b": 8},
+        legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0},
+        paper_bgcolor="rgba(0,0,0,0)",
+        plot_bgcolor="rgba(0,0,0,0)",
+        hoverlabel={"namelength": -1},
+    )
+    figure.update_xaxes(gridcolor=GRID, zeroline=False, automargin=True)
+    figure.update_yaxes(gridcolor=GRID, zerolinecolor=GRID, automargin=True)
 
 
 def _add_curve(

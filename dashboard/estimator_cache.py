@@ -16,9 +16,7 @@ def runs(trial_id: str, names: tuple[str, ...], view: int) -> tuple[EstimatorRun
     DataError
         If there is no such trial, or its keypoints are not those the estimators start from.
     """
-    stored = cache.result(trial_id)
-    changed_ns = (stored.folder / "trial.json").stat().st_mtime_ns
-    return _run(trial_id, names, view, changed_ns)
+    return _run(trial_id, names, view, cache.result_stamp(trial_id))
 
 
 @st.cache_resource(max_entries=24, show_spinner="Running the estimators …")

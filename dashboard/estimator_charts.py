@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from dashboard.charts import BAND_FACTOR
+from dashboard.charts import BAND_FACTOR, GRID
 from dashboard.labels import name_angle
 from engine.datatypes import Lift
 from engine.estimators import EstimatorRun
@@ -17,7 +17,6 @@ __all__ = ["plot_estimators", "plot_outliers"]
 LIGHT = ("#0072b2", "#c24e00", "#007a59", "#8a3f8f", "#5b6570")
 DARK = ("#6bc0f0", "#ff9e5e", "#4fd3a8", "#dd9be0", "#b6c0cb")
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-GRID = "rgba(140,155,170,0.25)"
 SHADE = "rgba(140,155,170,0.16)"
 CLEAR = "rgba(0,0,0,0)"
 

@@ -39,13 +39,7 @@ def exposure(trial_id: str) -> Exposure:
     DataError
         If there is no such trial, or its result is damaged.
     """
-    return _read_exposure(trial_id, _stamp(trial_id))
-
-
-def _stamp(trial_id: str) -> int:
-    """Return what changes when a trial does."""
-    cache.result(trial_id)  # says in one sentence what is wrong with it
-    return (cache.library().folder(trial_id) / "trial.json").stat().st_mtime_ns
+    return _read_exposure(trial_id, cache.result_stamp(trial_id))
 
 
 @st.cache_resource(max_entries=16, show_spinner=False)
@@ -55,7 +49,7 @@ def _read_exposure(trial_id: str, stamp: int) -> Exposure:
 
 def worst_lift(trial_id: str) -> int:
     """Return the lift that allows the least weight."""
-    return _find_worst(trial_id, _stamp(trial_id))
+    return _find_worst(trial_id, cache.result_stamp(trial_id))
 
 
 @st.cache_data(max_entries=64, show_spinner=False)
@@ -65,7 +59,7 @@ def _find_worst(trial_id: str, stamp: int) -> int:
 
 def answer(trial_id: str, lift: int, change: Change) -> Answer:
     """Judge one lift as filmed and as changed."""
-    return _answer(trial_id, _stamp(trial_id), lift, change)
+    return _answer(trial_id, cache.result_stamp(trial_id), lift, change)
 
 
 @st.cache_resource(max_entries=128, show_spinner=False)
@@ -80,7 +74,7 @@ def _answer(trial_id: str, stamp: int, lift: int, change: Change) -> Answer:
 
 def posture_scores(trial_id: str, lift: int, change: Change) -> dict[str, RiskResult]:
     """Judge every frame of a trial, as changed."""
-    return _judge(trial_id, _stamp(trial_id), lift, change, frames=True)
+    return _judge(trial_id, cache.result_stamp(trial_id), lift, change, frames=True)
 
 
 @st.cache_resource(max_entries=128, show_spinner=False)
@@ -93,7 +87,7 @@ def _judge(
 
 def ranking(trial_id: str, lift: int, locks: frozenset[str]) -> Ranking:
     """Rank the plausible changes of one lift."""
-    return _rank(trial_id, _stamp(trial_id), lift, tuple(sorted(locks)))
+    return _rank(trial_id, cache.result_stamp(trial_id), lift, tuple(sorted(locks)))
 
 
 @st.cache_resource(max_entries=64, show_spinner="Trying changes …")
@@ -118,7 +112,7 @@ def job(
     recovery_h: float | None,
 ) -> JobResult:
     """Judge several trials as one job: id, name, lifts per minute and own hours of each."""
-    stamps = tuple(_stamp(name) for name, *_ in parts)
+    stamps = tuple(cache.result_stamp(name) for name, *_ in parts)
     return _judge_job(parts, stamps, duration_h, recovery_h)
 
 

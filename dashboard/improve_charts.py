@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import plotly.graph_objects as go
 
-from dashboard.charts import BAND_FACTOR, DARK, LIGHT
+from dashboard.charts import BAND_FACTOR, DARK, GRID, LIGHT
 from dashboard.labels import format_number
 from engine.datatypes import RiskResult
 from engine.ergonomics.base import MethodInfo
@@ -16,7 +16,6 @@ from engine.ergonomics.before_after import MeasureChange, TrialMeasures
 
 __all__ = ["plot_limits", "plot_trials"]
 
-GRID = "rgba(140,155,170,0.25)"
 ROW_PX, FRAME_PX = 46, 96
 MOST = 3.5
 """Values beyond so many times the limit are drawn at the edge, with an arrow."""

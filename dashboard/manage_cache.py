@@ -21,6 +21,7 @@ from engine.errors import ConfigError
 from engine.jobs.local import JobRequest
 from engine.preferences import Preferences, read_preferences, write_preferences
 from engine.report import ReportOptions, render_job_report, render_trial_report
+from engine.sample_results import SAMPLES_SITE
 from engine.storage.atomic import explain_os_errors
 from engine.storage.entries import Choices
 from engine.storage.overview import Overview
@@ -182,8 +183,6 @@ def model_card() -> str:
 
 
 # --------------------------------------------------------------------------- samples
-
-SAMPLES_SITE = "Samples"
 
 
 def sample_requests() -> tuple[JobRequest, ...]:

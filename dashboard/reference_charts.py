@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from dashboard.charts import DARK, LIGHT
+from dashboard.charts import DARK, LIGHT, frame_figure
 from dashboard.labels import name_angle
 from engine.validation.agreement import AngleSummary
 from engine.validation.compare import TrialComparison
@@ -20,7 +20,6 @@ from engine.validation.statistics import Interval
 
 __all__ = ["plot_bland_altman", "plot_boxes", "plot_errors", "plot_pair", "plot_sides"]
 
-GRID = "rgba(140,155,170,0.25)"
 ZERO = "rgba(140,155,170,0.8)"
 BAND_FACTOR = 1.96
 ROW_PX, FRAME_PX = 30, 90
@@ -56,7 +55,7 @@ def plot_pair(trial: TrialComparison, name: str, *, dark: bool = False) -> go.Fi
         y0=mean - half, y1=mean + half, fillcolor=ink, opacity=0.13, line_width=0, row=2, col=1
     )
     figure.add_hline(y=mean, line={"color": ink, "width": 1, "dash": "dot"}, row=2, col=1)
-    _style(figure, height=430)
+    frame_figure(figure, height=430)
     figure.update_layout(hovermode="x unified")
     figure.update_xaxes(title="Time (s)", row=2, col=1)
     figure.update_yaxes(title="Angle (°)", row=1, col=1)
@@ -150,7 +149,7 @@ def plot_bland_altman(agreement: Agreement, name: str, *, dark: bool = False) ->
                         "font": {"size": 12, "color": ink}},
             annotation_position="top right",
         )  # fmt: skip
-    _style(figure, height=360)
+    frame_figure(figure, height=360)
     figure.update_xaxes(title="Mean of video and reference (°)")
     figure.update_yaxes(title="Video minus reference (°)", zerolinecolor=ZERO)
     return figure
@@ -179,21 +178,8 @@ def _arms(found: list[tuple[float, Interval]], *, dark: bool) -> dict[str, objec
     }
 
 
-def _style(figure: go.Figure, *, height: int) -> None:
-    figure.update_layout(
-        height=height,
-        margin={"l": 8, "r": 8, "t": 34, "b": 8},
-        legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0},
-        paper_bgcolor="rgba(0,0,0,0)",
-        plot_bgcolor="rgba(0,0,0,0)",
-        hoverlabel={"namelength": -1},
-    )
-    figure.update_xaxes(gridcolor=GRID, zeroline=False, automargin=True)
-    figure.update_yaxes(gridcolor=GRID, zerolinecolor=GRID, automargin=True)
-
-
 def _lay_down(figure: go.Figure, n_rows: int, title: str) -> None:
-    _style(figure, height=FRAME_PX + ROW_PX * max(n_rows, 3))
+    frame_figure(figure, height=FRAME_PX + ROW_PX * max(n_rows, 3))
     figure.update_layout(barmode="group", bargap=0.32)
     figure.update_xaxes(title=title)
     figure.update_yaxes(autorange="reversed")

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import plotly.graph_objects as go
 
-from dashboard.charts import DARK, LIGHT
+from dashboard.charts import DARK, LIGHT, frame_figure
 from engine.protocol_stored import TrialCurves
 from engine.validation.protocol.tables import ROW_TITLES
 
 __all__ = ["name_study_angle", "plot_angles", "plot_persons", "plot_study_curves"]
 
-GRID, ZERO = "rgba(140,155,170,0.25)", "rgba(140,155,170,0.8)"
+ZERO = "rgba(140,155,170,0.8)"
 ROW_PX, FRAME_PX = 30, 130
 PUBLISHED_MM = 9.52
 SIDES = {"_r": ", right", "_l": ", left"}
@@ -84,7 +84,7 @@ def plot_study_curves(curves: TrialCurves, name: str, *, dark: bool = False) -> 
             x=curves.time_s, y=values[:, column], mode="lines", name=title,
             line={"color": color, "width": 2.4, "dash": dash}, hovertemplate="%{y:.1f}°",
         )  # fmt: skip
-    _style(figure, height=340)
+    frame_figure(figure, height=340)
     figure.update_layout(hovermode="x unified")
     figure.update_xaxes(title="Time (s)")
     figure.update_yaxes(title="Angle (°)")
@@ -99,20 +99,7 @@ def _ink(*, dark: bool) -> str:
     return "#c9d4de" if dark else "#3d4b58"
 
 
-def _style(figure: go.Figure, *, height: int) -> None:
-    figure.update_layout(
-        height=height,
-        margin={"l": 8, "r": 8, "t": 34, "b": 8},
-        legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0},
-        paper_bgcolor="rgba(0,0,0,0)",
-        plot_bgcolor="rgba(0,0,0,0)",
-        hoverlabel={"namelength": -1},
-    )
-    figure.update_xaxes(gridcolor=GRID, zeroline=False, automargin=True)
-    figure.update_yaxes(gridcolor=GRID, zerolinecolor=GRID, automargin=True)
-
-
 def _lay_down(figure: go.Figure, n_rows: int, title: str) -> None:
-    _style(figure, height=FRAME_PX + ROW_PX * max(n_rows, 3))
+    frame_figure(figure, height=FRAME_PX + ROW_PX * max(n_rows, 3))
     figure.update_xaxes(title=title)
     figure.update_yaxes(autorange="reversed")
