@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from engine.config import PoseConfig
-from engine.datatypes import ProgressCallback, TrackedStream, ViewInfo, ViewPose
-from engine.pose.backends import mediapipe
+from engine.pose.backends._lifting import LiftingNetworkBackend
 from engine.pose.base import BackendInfo
 from engine.pose.lifting.lifter import DirectLifter
 from engine.pose.lifting.network import MODEL_DIR, describe_network, open_network
@@ -29,7 +28,7 @@ BACKEND_INFO = BackendInfo(
 NETWORK = MODEL_DIR / "mhformer_s.onnx"
 
 
-class Backend:
+class Backend(LiftingNetworkBackend):
     """MHFormer on top of BlazePose.
 
     Parameters
@@ -47,16 +46,4 @@ class Backend:
 
     def __init__(self, config: PoseConfig) -> None:
         network = open_network(Path(config.model) if config.model else NETWORK, "lifter")
-        self._lifter = DirectLifter(network)
-        self._provenance = describe_network(network, self.info.name)
-        self._config = config
-
-    def estimate(
-        self, frames: TrackedStream, view: ViewInfo, progress: ProgressCallback
-    ) -> ViewPose:
-        """Find the joints in the pictures with BlazePose, and lift them."""
-        return self.lift(mediapipe.Backend(self._config).estimate(frames, view, progress))
-
-    def lift(self, pose: ViewPose) -> ViewPose:
-        """Return the pose with lifted joints as its body track; see `Lifter.lift`."""
-        return self._lifter.lift(pose, self._provenance)
+        super().__init__(config, DirectLifter(network), describe_network(network, self.info.name))
